@@ -1,0 +1,96 @@
+"""How compiled code is written here: blocks of lanes, and functions that the kernel calls by address.
+
+A *lane* is one car on one road. Lanes are stepped in blocks of ``LANES``; a block is one flat array of ``SIZE`` numbers in
+which quantity ``Q`` of lane ``i`` is ``block[Q + i]``. The row offsets below are compile-time constants, so the compiler can
+prove that rows do not overlap and turns every loop over lanes into vector instructions.
+
+Everything in a block is dimensionless: lengths over the road's standard deviation, time over 1/natural_frequency.
+
+A road (or a speed noise) is a few plain functions of pointers ``(lanes, words, table)``:
+
+- ``lanes``: one block, in single or double precision;
+- ``words``: rows of random 32-bit words of this substep, word ``k`` of lane ``i`` at ``words[k * LANES + i]``;
+- ``table``: constants of the road, the same for every lane.
+
+`LaneFunction` compiles them, each with its own cache file, and the kernel calls them through their address. That keeps one
+kernel for all roads, compiled once, and lets a road live in any module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import cfunc, njit, types
+from numba.extending import intrinsic, overload
+
+LANES = 64
+
+SPEED = 0 * LANES  # frequency ratio nu = v * wavenumber / natural_frequency
+BANDWIDTH = 1 * LANES  # damping ratio delta of the road filter
+TURN = 2 * LANES  # road angle travelled in this substep, wavenumber * distance
+TURN_EXCESS = 3 * LANES  # mean over the substep of the angle's path above its chord, where that is random
+TURN_VARIANCE = 4 * LANES  # variance of the Brownian part of the angle in a substep
+SPEED_STATE = 5 * LANES  # filtered speed noise Psi, rad
+LEVEL = 6 * LANES  # Z
+SLOPE = 7 * LANES  # U, with dZ/ds = wavenumber * U; zero on roads that have no slope
+LEVEL_EXCESS = 8 * LANES  # mean over the substep of the level's path above its chord
+DISPLACEMENT = 9 * LANES  # Y
+VELOCITY = 10 * LANES  # X = (dY/dt) / natural_frequency
+RATE = 11 * LANES  # angle a unit of time now, where the speed is a number; nu without speed noise
+COEFFICIENT = 12 * LANES  # first of ten rows that the road fills in `prepare`
+SIZE = 22 * LANES  # numbers in a block
+
+# "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+compiled: Callable[[Callable[..., Any]], Any] = njit(nogil=True, **_OPTIONS)
+
+
+def like(reference: Any, value: float) -> Any:
+    """``value`` in the precision of ``reference`` (a block or a pointer to one), so that literals widen nothing."""
+    return reference.dtype.type(value)
+
+
+@overload(like, inline="always", strict=False)
+def _like(reference: Any, value: Any) -> Any:
+    real = reference.dtype
+    return lambda reference, value: real(value)
+
+
+@intrinsic
+def call(typing_context: Any, address: Any, lanes: Any, words: Any, table: Any) -> Any:
+    """Call the lane function at ``address`` with three addresses; all are unsigned integers."""
+    signature = types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = ir.PointerType(ir.IntType(8))
+        function_type = ir.FunctionType(ir.VoidType(), [pointer] * 3)
+        function = builder.inttoptr(arguments[0], ir.PointerType(function_type))
+        builder.call(function, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+class LaneFunction:
+    """A function of ``(lanes, words, table)`` pointers, compiled on demand for one precision.
+
+    Use it as a decorator. ``address(dtype)`` is what the kernel calls; it belongs to this process, so it is never stored in
+    anything that is pickled. The undecorated function stays in ``function`` and accepts NumPy arrays.
+    """
+
+    def __init__(self, function: Callable[[Any, Any, Any], None]) -> None:
+        self.function = function
+        self.__doc__ = function.__doc__
+        self._compiled: dict[np.dtype[Any], Any] = {}
+
+    def address(self, dtype: np.dtype[Any]) -> int:
+        """Address of the compiled function for blocks of ``dtype`` (float32 or float64)."""
+        if dtype not in self._compiled:
+            real = {np.dtype(np.float32): types.float32, np.dtype(np.float64): types.float64}[dtype]
+            signature = types.void(types.CPointer(real), types.CPointer(types.uint32), types.CPointer(real))
+            self._compiled[dtype] = cfunc(signature, **_OPTIONS)(self.function)
+        return int(self._compiled[dtype].address)

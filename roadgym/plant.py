@@ -1,0 +1,216 @@
+"""A batch of cars on roads: holds the arrays that the kernel steps, and shares the blocks out between threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import kernel
+from .compiled import LANES, SIZE
+from .noise import keys_from_seeds
+from .parameters import ParameterError
+from .task import OPERATING_POINT, SATURATION, Task
+
+AUTORESET = {"next_step": kernel.NEXT_STEP, "same_step": kernel.SAME_STEP, "disabled": kernel.DISABLED}
+BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
+
+_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+
+
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """The thread pool of this process; a forked worker finds none of its parent's."""
+    key = (os.getpid(), threads)
+    if key not in _pools:
+        _pools[key] = ThreadPoolExecutor(threads, thread_name_prefix="roadgym")
+    return _pools[key]
+
+
+class Plant:
+    """``num_envs`` independent cars.
+
+    Args:
+        task: what they drive.
+        num_envs: how many.
+        max_episode_steps: control intervals in an episode; 0 for no limit.
+        autoreset: a key of `AUTORESET`.
+        threads: number of threads; results do not depend on it. By default one a processor, where the batch is large enough.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int,
+        *,
+        max_episode_steps: int = 0,
+        autoreset: str = "disabled",
+        threads: int | None = None,
+    ) -> None:
+        self.task = task
+        self.num_envs = num_envs
+        self.blocks = -(-num_envs // LANES)
+        self.dtype = np.dtype(task.precision)
+        available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+        self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
+        self._state = np.zeros(self.blocks * SIZE, self.dtype)
+        self._counters = np.zeros(self.blocks * kernel.COUNTERS, np.uint32)
+        self._signals = np.array([kernel.SIGNALS.index(name) for name in task.signals])
+        self._max_episode_steps = max_episode_steps
+        self._autoreset = AUTORESET[autoreset]
+        self.started = False
+
+        w1, road = task.car.natural_frequency, task.road
+        substep = task.control_interval * w1 / task.substeps
+        noise = task.speed_noise
+        self._road_table = road.table().astype(self.dtype)
+        speed_table = np.zeros(1) if noise is None else noise.table(substep, w1, road)
+        self._speed_table = speed_table.astype(self.dtype)
+        self._numbers = np.zeros(kernel.NUMBERS)
+        self._numbers[: kernel.WEIGHT] = (
+            substep,
+            *task.damping_range,
+            *(task.frequency_ratio(speed) for speed in task.speed),
+            *task.bandwidth,
+            task.warm_up_damping,
+            SATURATION,
+        )
+        self._numbers[kernel.WEIGHT :] = task.weights
+        self._integers = self._make_integers()
+
+    def _make_integers(self) -> npt.NDArray[np.int64]:
+        task, road, noise = self.task, self.task.road, self.task.speed_noise
+        integers = np.zeros(kernel.INTEGERS, np.int64)
+        integers[kernel.SUBSTEPS] = task.substeps
+        integers[kernel.ROAD_WORDS] = road.words_per_substep
+        integers[kernel.ROAD_PREPARE] = road.prepare.address(self.dtype)
+        integers[kernel.ROAD_START] = road.start.address(self.dtype)
+        integers[kernel.ROAD_ADVANCE] = road.advance.address(self.dtype)
+        if noise is not None:
+            integers[kernel.SPEED_WORDS] = noise.words_per_substep
+            integers[kernel.SPEED_START] = noise.start.address(self.dtype)
+            integers[kernel.SPEED_ADVANCE] = noise.advance.address(self.dtype)
+        integers[kernel.MAX_EPISODE_STEPS] = self._max_episode_steps
+        integers[kernel.AUTORESET] = self._autoreset
+        integers[kernel.WARM_UP_STEPS] = round(task.warm_up / task.control_interval)
+        integers[kernel.HAS_SLOPE] = road.has_slope and (noise is None or noise.smooth)
+        return integers
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        del state["_integers"]  # holds addresses, which belong to this process
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._integers = self._make_integers()
+
+    def _run(self, function: Callable[..., None], *arguments: Any) -> None:
+        if self.threads == 1:
+            function(0, self.blocks, *arguments)
+            return
+        edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
+        pool = _pool(self.threads)
+        futures = [pool.submit(function, low, high, *arguments) for low, high in zip(edges[1:-1], edges[2:], strict=True)]
+        function(edges[0], edges[1], *arguments)
+        for future in futures:
+            future.result()
+
+    def seed(self, seeds: npt.NDArray[np.uint64], mask: npt.NDArray[np.bool_]) -> None:
+        """Give the masked environments new keys, shape (num_envs,) each, and start their count of episodes again."""
+        counters = self._counters.reshape(self.blocks, -1, LANES)
+        where = np.flatnonzero(mask)
+        block, lane = np.divmod(where, LANES)
+        counters[block, 0, lane], counters[block, 1, lane] = keys_from_seeds(seeds[where])
+        counters[block, kernel.EPISODE // LANES, lane] = np.uint32(0xFFFFFFFF)  # the reset makes it 0
+
+    def forced(self, options: dict[str, Any]) -> npt.NDArray[np.float64]:
+        """The operating points that the options "speed" and "bandwidth" fix for the next episode; NaN where they do not.
+
+        Raises:
+            ParameterError: a value outside the task's range, or of a wrong shape.
+        """
+        forced = np.full((2, self.num_envs), np.nan)
+        for row, name in enumerate(OPERATING_POINT):
+            value = options.get(name)
+            if value is None:
+                continue
+            low, high = getattr(self.task, name)
+            if high == 0:
+                raise ParameterError(f"option {name!r} does not exist: a {self.task.road.kind} road has no {name}")
+            try:
+                values = np.broadcast_to(np.asarray(value, float), self.num_envs)
+            except (TypeError, ValueError):
+                raise ParameterError(
+                    f"option {name!r} must be a number or {self.num_envs} numbers, got {value!r}"
+                ) from None
+            if not np.all((values >= low) & (values <= high)):
+                raise ParameterError(f"option {name!r} must lie within [{low:g}, {high:g}], got {value!r}")
+            forced[row] = self.task.frequency_ratio(values) if name == "speed" else values
+        return forced
+
+    def reset(
+        self, forced: npt.NDArray[np.float64], mask: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any]]:
+        """Start the masked environments in their next episode: observations (num_envs, signals), results (rows, num_envs)."""
+        observations = np.empty((self.num_envs, len(self._signals)), np.float32)
+        results = np.zeros((kernel.RESULTS, self.num_envs), self.dtype)
+        self._run(
+            kernel.reset_blocks,
+            self._state,
+            self._counters,
+            self._road_table,
+            self._speed_table,
+            self._integers,
+            self._numbers,
+            self._signals,
+            forced,
+            mask,
+            observations,
+            results,
+        )
+        self.started = True
+        return observations, results
+
+    def step(
+        self, actions: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.float32]]:
+        """One control interval: observations, results, truncated, and the final observations of episodes that ended.
+
+        The last are meaningful only where an episode was truncated, with the autoreset "same_step".
+        """
+        n = self.num_envs
+        observations = np.empty((n, len(self._signals)), np.float32)
+        final = np.empty_like(observations) if self._autoreset == kernel.SAME_STEP else observations
+        results = np.empty((kernel.RESULTS, n), self.dtype)
+        truncated = np.empty(n, np.bool_)
+        self._run(
+            kernel.step_blocks,
+            self._state,
+            self._counters,
+            self._road_table,
+            self._speed_table,
+            self._integers,
+            self._numbers,
+            self._signals,
+            actions,
+            observations,
+            results,
+            truncated,
+            final,
+        )
+        return observations, results, truncated, final
+
+    def row(self, offset: int) -> npt.NDArray[Any]:
+        """A copy of one row of the state (see `roadgym.compiled`), shape (num_envs,), in the kernel's units."""
+        rows = self._state.reshape(self.blocks, -1, LANES)
+        return rows[:, offset // LANES, :].reshape(-1)[: self.num_envs].copy()
+
+    def set_row(self, offset: int, values: npt.ArrayLike) -> None:
+        """Replace one row of the state, for every environment."""
+        rows = self._state.reshape(self.blocks, -1, LANES)
+        padded = np.resize(np.broadcast_to(np.asarray(values, self.dtype), self.num_envs), self.blocks * LANES)
+        rows[:, offset // LANES, :] = padded.reshape(self.blocks, LANES)

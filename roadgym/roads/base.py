@@ -1,0 +1,65 @@
+"""What every road is: frozen parameters, the stationary law, and three compiled lane functions."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ..compiled import LaneFunction
+from ..parameters import ParameterError, positive
+
+Self = TypeVar("Self", bound="Road")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Road(abc.ABC):
+    """A road Z(s) over the distance s, stationary, with zero mean.
+
+    A new road subclasses this, as a frozen keyword-only dataclass whose field ``kind`` is its name, checks its parameters in
+    ``__post_init__`` and supplies the abstract properties and three lane functions (see `roadgym.compiled`). They see the
+    road in units of its standard deviation and in terms of the angle wavenumber * distance:
+
+    - ``prepare`` fills the COEFFICIENT rows from the rows TURN (angle a substep) and BANDWIDTH;
+    - ``start`` draws LEVEL and SLOPE from the stationary law with up to four words a lane;
+    - ``advance`` moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets LEVEL_EXCESS.
+    """
+
+    kind: str = dataclasses.field(default="", init=False)
+    wavenumber: float = 1.0
+
+    has_slope: ClassVar[bool] = True  # is dZ/ds a number, that is, does Z contain no white noise in its derivative
+    words_per_substep: ClassVar[int] = 2
+    prepare: ClassVar[LaneFunction]
+    start: ClassVar[LaneFunction]
+    advance: ClassVar[LaneFunction]
+
+    def __post_init__(self) -> None:
+        positive("wavenumber", self.wavenumber)
+
+    @property
+    @abc.abstractmethod
+    def variance(self) -> float:
+        """Stationary variance E Z^2, m^2."""
+
+    @property
+    def precision(self) -> str:
+        """Floating-point format that the road's law needs at least: "float32" or "float64"."""
+        return "float32"
+
+    def table(self) -> npt.NDArray[np.float64]:
+        """Constants for the lane functions, the same for every lane."""
+        return np.zeros(1)
+
+    def with_bandwidth(self: Self, bandwidth: float) -> Self:
+        """The same road with another bandwidth and the same variance; raises `ParameterError` on roads without one."""
+        raise ParameterError(f"a {self.kind} road has no bandwidth")
+
+
+def check_fields(road: Any, *names: str) -> None:
+    """Raise `ParameterError` unless each named field is a positive number."""
+    for name in names:
+        positive(name, getattr(road, name))

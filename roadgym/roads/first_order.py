@@ -1,0 +1,91 @@
+"""First-order road, (4) of Wedig (2020): dZ = -v W Z dt + sigma sqrt(v) dB, W = wavenumber, B a Wiener process.
+
+The level and its integral over the substep are drawn together from their exact joint Gaussian law, so the car, which needs the
+area under the level, sees no bias of the first orders. dZ/dt contains white noise: the slope is not a number, and none is kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from ..compiled import COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, like
+from ..noise import normal_pair
+from .base import Road, check_fields
+
+KEEP, LEVEL_NOISE = COEFFICIENT, COEFFICIENT + LANES
+EXCESS_MEAN, EXCESS_SHARED, EXCESS_NOISE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES, COEFFICIENT + 4 * LANES
+
+
+@LaneFunction
+def prepare(lanes: Any, words: Any, table: Any) -> None:
+    """Joint law of the level and of its mean above the chord, for unit variance, in double precision."""
+    for i in range(LANES):
+        angle = np.float64(lanes[TURN + i])
+        keep = math.exp(-angle)
+        lost = -math.expm1(-angle)  # 1 - keep
+        level_variance = lost * (1.0 + keep)
+        lanes[KEEP + i] = keep
+        lanes[LEVEL_NOISE + i] = math.sqrt(level_variance)
+        if angle > 1e-4:
+            area_variance = 2.0 * angle - 4.0 * lost + level_variance
+            covariance = lost * lost
+            rest = max(area_variance - covariance * covariance / level_variance, 0.0)
+            lanes[EXCESS_MEAN + i] = lost / angle - 0.5 * (1.0 + keep)
+            lanes[EXCESS_SHARED + i] = covariance / (angle * math.sqrt(level_variance)) - 0.5 * math.sqrt(level_variance)
+            lanes[EXCESS_NOISE + i] = math.sqrt(rest) / angle
+        else:  # leading orders, exact to better than 1e-4 of themselves
+            lanes[EXCESS_MEAN + i] = -angle * angle / 12.0
+            lanes[EXCESS_SHARED + i] = -angle * math.sqrt(2.0 * angle) / 12.0
+            lanes[EXCESS_NOISE + i] = math.sqrt(angle / 6.0)
+
+
+@LaneFunction
+def start(lanes: Any, words: Any, table: Any) -> None:
+    """A standard normal level: the stationary law."""
+    zero = like(lanes, 0.0)
+    for i in range(LANES):
+        lanes[LEVEL + i], _ = normal_pair(words[i], words[LANES + i])
+        lanes[SLOPE + i] = zero
+
+
+@LaneFunction
+def advance(lanes: Any, words: Any, table: Any) -> None:
+    """One exact Gaussian transition of the level and of the area under it."""
+    for i in range(LANES):
+        first, second = normal_pair(words[i], words[LANES + i])
+        z = lanes[LEVEL + i]
+        lanes[LEVEL + i] = lanes[KEEP + i] * z + lanes[LEVEL_NOISE + i] * first
+        lanes[LEVEL_EXCESS + i] = (
+            lanes[EXCESS_MEAN + i] * z + lanes[EXCESS_SHARED + i] * first + lanes[EXCESS_NOISE + i] * second
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FirstOrderRoad(Road):
+    """First-order Gaussian road with the spectrum (5); equation (4).
+
+    Args:
+        noise_intensity: sigma, m^(1/2).
+        wavenumber: corner frequency Omega, rad/m.
+    """
+
+    kind: str = dataclasses.field(default="first_order", init=False)
+    noise_intensity: float = 0.5
+
+    has_slope = False
+    prepare = prepare
+    start = start
+    advance = advance
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, "noise_intensity")
+
+    @property
+    def variance(self) -> float:
+        """E Z^2 = sigma^2 / (2 Omega), m^2; (5)."""
+        return self.noise_intensity**2 / (2 * self.wavenumber)

@@ -1,0 +1,107 @@
+"""Gaussian second-order road, (7), (8) of Wedig (2020) with V = 1:
+
+    dZ = v W U dt,   dU = -v W (2 delta U + Z) dt + sigma sqrt(v) dB,   W = wavenumber, B a Wiener process.
+
+The sampled pair (Z, U) is exact in law: one 2 x 2 Gaussian transition, whose covariance is I - M M' in units of the variance
+because the stationary covariance is the identity. Between samples the level is a straight line plus the area that the pair's
+slopes fix; what that leaves out has variance of order (angle a substep)^5.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
+from ..noise import normal_pair
+from ..parameters import positive
+from .base import Road, check_fields
+
+
+@compiled
+def oscillator(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
+    """Entries (a, b, d) of exp(angle [[0, 1], [-1, -2 delta]]) = [[a, b], [-b, d]], any bandwidth delta > 0."""
+    square = (1.0 - bandwidth * bandwidth) * angle * angle
+    if square > 1e-8:
+        root = math.sqrt(square)
+        cosine, sine = math.cos(root), angle * math.sin(root) / root
+    elif square < -1e-8:
+        root = math.sqrt(-square)
+        cosine, sine = math.cosh(root), angle * math.sinh(root) / root
+    else:  # series about critical damping, where the next term is below 1e-17
+        cosine, sine = 1.0 - square / 2.0, angle * (1.0 - square / 6.0)
+    decay = math.exp(-bandwidth * angle)
+    return decay * (cosine + bandwidth * sine), decay * sine, decay * (cosine - bandwidth * sine)
+
+
+A, B, D = COEFFICIENT, COEFFICIENT + LANES, COEFFICIENT + 2 * LANES
+LEVEL_NOISE, SHARED_NOISE, SLOPE_NOISE = COEFFICIENT + 3 * LANES, COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
+
+
+@LaneFunction
+def prepare(lanes: Any, words: Any, table: Any) -> None:
+    """Transition matrix and Cholesky factor of the transition covariance, in double precision (1 - a^2 - b^2 cancels)."""
+    for i in range(LANES):
+        a, b, d = oscillator(np.float64(lanes[TURN + i]), np.float64(lanes[BANDWIDTH + i]))
+        level_noise = math.sqrt(max(1.0 - a * a - b * b, 0.0))
+        shared_noise = b * (a - d) / level_noise if level_noise > 0.0 else 0.0
+        lanes[A + i], lanes[B + i], lanes[D + i] = a, b, d
+        lanes[LEVEL_NOISE + i] = level_noise
+        lanes[SHARED_NOISE + i] = shared_noise
+        lanes[SLOPE_NOISE + i] = math.sqrt(max(1.0 - b * b - d * d - shared_noise * shared_noise, 0.0))
+
+
+@LaneFunction
+def start(lanes: Any, words: Any, table: Any) -> None:
+    """Independent standard normals: the stationary law."""
+    for i in range(LANES):
+        lanes[LEVEL + i], lanes[SLOPE + i] = normal_pair(words[i], words[LANES + i])
+
+
+@LaneFunction
+def advance(lanes: Any, words: Any, table: Any) -> None:
+    """One exact Gaussian transition."""
+    twelfth = like(lanes, 1.0 / 12.0)
+    for i in range(LANES):
+        first, second = normal_pair(words[i], words[LANES + i])
+        z, u = lanes[LEVEL + i], lanes[SLOPE + i]
+        new_u = lanes[D + i] * u - lanes[B + i] * z + lanes[SHARED_NOISE + i] * first + lanes[SLOPE_NOISE + i] * second
+        lanes[LEVEL + i] = lanes[A + i] * z + lanes[B + i] * u + lanes[LEVEL_NOISE + i] * first
+        lanes[SLOPE + i] = new_u
+        lanes[LEVEL_EXCESS + i] = lanes[TURN + i] * (u - new_u) * twelfth
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GaussianRoad(Road):
+    """Second-order Gaussian road; equations (7), (8) with V = 1.
+
+    Args:
+        bandwidth: damping ratio delta of the road filter, 1.
+        noise_intensity: sigma, m^(1/2).
+        wavenumber: centre frequency Omega, rad/m.
+    """
+
+    kind: str = dataclasses.field(default="gaussian", init=False)
+    bandwidth: float = 0.1
+    noise_intensity: float = 0.2
+
+    prepare = prepare
+    start = start
+    advance = advance
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, "bandwidth", "noise_intensity")
+
+    @property
+    def variance(self) -> float:
+        """E Z^2 = E U^2 = sigma^2 / (4 delta Omega), m^2; (9)-(12) at V = 1."""
+        return self.noise_intensity**2 / (4 * self.bandwidth * self.wavenumber)
+
+    def with_bandwidth(self, bandwidth: float) -> GaussianRoad:
+        """The same road with another bandwidth and the same variance."""
+        scale = math.sqrt(positive("bandwidth", bandwidth) / self.bandwidth)
+        return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)

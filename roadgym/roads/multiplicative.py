@@ -1,0 +1,307 @@
+"""Bounded road with multiplicative noise, (7), (8) of Wedig (2020), on the circle z0 = u0 = r0:
+
+    dZ = v W U dt,   dU = -v W (2 delta U + Z) dt + V sigma sqrt(v) dB,   V^2 = 1 - (Z^2 + U^2) / r0^2,
+
+with density p ~ (1 - (z^2 + u^2) / r0^2)^(alpha - 1), alpha = 2 delta W r0^2 / sigma^2 (11), W = wavenumber.
+
+Scheme: rotate, kick, rotate. Split the generator into the rotation dZ = U dt, dU = -Z dt and the rest, which moves U alone.
+At fixed Z the rest is a Jacobi diffusion of x = U / sqrt(r0^2 - Z^2) with density ~ (1 - x^2)^(alpha - 1), the law of one
+coordinate of a uniform point on a sphere of dimension 2 alpha. Both parts keep the density (11), and so does each step here:
+
+- alpha >= 1/2: a random walk on that sphere, x -> g x + sqrt(1 - g^2) sqrt(1 - x^2) c, c one coordinate of a random direction
+  in the tangent space, density ~ (1 - c^2)^(alpha - 3/2). That it keeps the law for any real 2 alpha >= 1 is the product
+  formula of the Gegenbauer polynomials (T. Koornwinder, "Jacobi polynomials II", SIAM J. Math. Anal. 5, 1974). c comes from a
+  table of its quantiles, scaled so that E c^2 = 1/(2 alpha) exactly.
+- alpha < 1/2, where there is no such sphere: a Gaussian step in the space around the sphere, projected back on it,
+  (x, w) -> (x + eta N, eta^2 chi'^2) with w = 1 - x^2 and chi'^2 noncentral chi-square of 2 alpha degrees of freedom and
+  noncentrality w / eta^2; then x -> x / sqrt(x^2 + w). By symmetry it keeps the law too, and E x' = g(eta) x.
+
+The kick comes at one of two instants, the Gauss-Legendre points of the substep, chosen at random. The three free numbers
+(both rotations and g) are set so that the conditional mean of (Z, U) over a substep is that of the equation. So for every
+alpha > 0, at any substep, the stationary law is the exact one (to the table's interpolation: below 1e-4 in the distribution
+function), Z^2 + U^2 <= r0^2 always, and the autocovariance of the samples is exact at every lag. Approximate, of first weak
+order in the angle a substep: how fast higher moments relax. The increments are not Gaussian, so no convergence along a given
+Brownian path is claimed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
+from ..noise import normal_pair, philox, uniform
+from ..parameters import positive
+from .base import Road, check_fields
+from .gaussian import oscillator
+
+KEEP, KICK = COEFFICIENT, COEFFICIENT + LANES
+SHORT_COSINE, SHORT_SINE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
+LONG_COSINE, LONG_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
+
+# the table: three constants, then knots of a curve
+SQUARE_RADIUS, SQUARE_BOUND, SHAPE, CURVE = 0, 1, 2, 3
+CELLS = 2048
+LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
+
+
+@compiled
+def rotations(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
+    """(short rotation, long rotation, g): R(short) diag(1, g) R(long), averaged with its mirror image, is the exact mean."""
+    a, b, d = oscillator(angle, bandwidth)
+    keep = math.sqrt((a + d) * (a + d) + 4.0 * b * b) - 1.0
+    total = math.atan2(2.0 * b, a + d)
+    difference = math.acos(min((a - d) / (1.0 - keep), 1.0)) if keep < 1.0 else 0.0
+    return 0.5 * (total - difference), 0.5 * (total + difference), keep
+
+
+@LaneFunction
+def prepare(lanes: Any, words: Any, table: Any) -> None:
+    """Both rotations, g and the strength of the kick (for shapes below 1/2: eta), in double precision."""
+    for i in range(LANES):
+        short, long, keep = rotations(np.float64(lanes[TURN + i]), np.float64(lanes[BANDWIDTH + i]))
+        lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i] = math.cos(short), math.sin(short)
+        lanes[LONG_COSINE + i], lanes[LONG_SINE + i] = math.cos(long), math.sin(long)
+        lanes[KEEP + i] = keep
+        if table[SHAPE] < 0.5:
+            place = min(math.sqrt(-math.log(keep)) / LARGEST_ROOT, 1.0) * CELLS
+            cell = min(int(place), CELLS - 1)
+            low, high = np.float64(table[CURVE + cell]), np.float64(table[CURVE + cell + 1])
+            lanes[KICK + i] = low + (place - cell) * (high - low)
+        else:
+            lanes[KICK + i] = math.sqrt(1.0 - keep * keep)
+
+
+@LaneFunction
+def start(lanes: Any, words: Any, table: Any) -> None:
+    """The stationary law (11): 1 - r^2/r0^2 = W^(1/alpha) with W uniform, and a uniform direction."""
+    for i in range(LANES):
+        free = uniform(words[i]) ** (1.0 / np.float64(table[SHAPE]))
+        radius = math.sqrt(np.float64(table[SQUARE_BOUND]) * (1.0 - free))
+        angle = 2.0 * math.pi * uniform(words[LANES + i])
+        lanes[LEVEL + i] = radius * math.cos(angle)
+        lanes[SLOPE + i] = radius * math.sin(angle)
+
+
+@LaneFunction
+def advance(lanes: Any, words: Any, table: Any) -> None:
+    """Rotate, kick on the sphere, rotate; shapes alpha >= 1/2."""
+    zero, half, one, three_halves = like(lanes, 0.0), like(lanes, 0.5), like(lanes, 1.0), like(lanes, 1.5)
+    twelfth = like(lanes, 1.0 / 12.0)
+    fraction_unit = like(lanes, 2.0**-19)
+    square_radius = table[SQUARE_RADIUS]
+    inverse_bound = one / table[SQUARE_BOUND]
+    for i in range(LANES):
+        word = words[i]
+        # one bit chooses the instant of the kick, one its sign, eleven the cell of the table, nineteen the place in it
+        early = np.int32(word) < np.int32(0)
+        sign = np.float32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1))
+        cell = np.int64((word >> np.uint32(19)) & np.uint32(CELLS - 1))
+        place = like(lanes, np.float32(np.int32(word & np.uint32(0x7FFFF)))) * fraction_unit
+        low = table[CURVE + cell]
+        direction = sign * (low + place * (table[CURVE + cell + 1] - low))
+
+        first_cosine = lanes[SHORT_COSINE + i] if early else lanes[LONG_COSINE + i]
+        first_sine = lanes[SHORT_SINE + i] if early else lanes[LONG_SINE + i]
+        last_cosine = lanes[LONG_COSINE + i] if early else lanes[SHORT_COSINE + i]
+        last_sine = lanes[LONG_SINE + i] if early else lanes[SHORT_SINE + i]
+
+        old_u = lanes[SLOPE + i]
+        z = first_cosine * lanes[LEVEL + i] + first_sine * old_u
+        u = first_cosine * old_u - first_sine * lanes[LEVEL + i]
+        free = max(square_radius - z * z - u * u, zero)
+        u = lanes[KEEP + i] * u + lanes[KICK + i] * direction * np.sqrt(free)
+        new_z = last_cosine * z + last_sine * u
+        new_u = last_cosine * u - last_sine * z
+        # rounding can leave the circle by a few units in the last place: one Newton step back, exact to their square
+        inside = min(three_halves - half * (new_z * new_z + new_u * new_u) * inverse_bound, one)
+        new_u = new_u * inside
+        lanes[LEVEL + i] = new_z * inside
+        lanes[SLOPE + i] = new_u
+        lanes[LEVEL_EXCESS + i] = lanes[TURN + i] * (old_u - new_u) * twelfth
+
+
+@compiled
+def gamma_variate(shape: Any, key0: Any, key1: Any, counter: Any) -> tuple[float, Any]:
+    """(Gamma variate of ``shape`` >= 1, next counter): G. Marsaglia and W. W. Tsang, ACM Trans. Math. Softw. 26, 2000."""
+    d = shape - 1.0 / 3.0
+    c = 1.0 / math.sqrt(9.0 * d)
+    while True:
+        w0, w1, w2, _ = philox(counter, np.uint32(0), np.uint32(0), np.uint32(0), key0, key1)
+        counter = np.uint32(counter + np.uint32(1))
+        normal = np.float64(normal_pair(w0, w1)[0])
+        v = (1.0 + c * normal) ** 3
+        if v > 0.0 and math.log(uniform(w2)) < 0.5 * normal * normal + d - d * v + d * math.log(v):
+            return d * v, counter
+
+
+@compiled
+def noncentral_chi_square(shape: Any, noncentrality: Any, key0: Any, key1: Any) -> float:
+    """Noncentral chi-square of 2 ``shape`` degrees of freedom: a Poisson mixture of Gamma variates, for any shape > 0."""
+    count = 0.0
+    left = 0.5 * noncentrality
+    counter = np.uint32(0)
+    while left > 0.0:  # a Poisson variate by inversion, in parts whose exp(-mean) does not vanish
+        mean = min(left, 500.0)
+        left -= mean
+        w0, w1, _, _ = philox(counter, np.uint32(0), np.uint32(0), np.uint32(1), key0, key1)
+        counter = np.uint32(counter + np.uint32(1))
+        remaining = uniform(w0) + np.float64(w1) * 2.0**-64
+        probability = math.exp(-mean)
+        last = mean + 40.0 * math.sqrt(mean) + 40.0  # beyond it lies less than one unit in the last place of 1
+        n = 0.0
+        while remaining > probability and n < last:
+            remaining -= probability
+            n += 1.0
+            probability *= mean / n
+        count += n
+    w0, w1, _, _ = philox(counter, np.uint32(0), np.uint32(0), np.uint32(2), key0, key1)
+    # Gamma(k) = Gamma(k + 1) W^(1/k) holds for every k > 0 and keeps the shape at 1 or above
+    total = shape + count
+    variate, _ = gamma_variate(total + 1.0, key0, key1, np.uint32(0))
+    return 2.0 * variate * uniform(w0) ** (1.0 / total)
+
+
+@LaneFunction
+def advance_small_shape(lanes: Any, words: Any, table: Any) -> None:
+    """Rotate, step around the sphere and project, rotate; shapes alpha < 1/2."""
+    shape = np.float64(table[SHAPE])
+    square_radius, square_bound = np.float64(table[SQUARE_RADIUS]), np.float64(table[SQUARE_BOUND])
+    for i in range(LANES):
+        key0, key1 = words[i], words[LANES + i]
+        w0, w1, w2, _ = philox(np.uint32(0), np.uint32(0), np.uint32(0), np.uint32(3), key0, key1)
+        early = np.int32(w2) < np.int32(0)
+        first_cosine = np.float64(lanes[SHORT_COSINE + i] if early else lanes[LONG_COSINE + i])
+        first_sine = np.float64(lanes[SHORT_SINE + i] if early else lanes[LONG_SINE + i])
+        last_cosine = np.float64(lanes[LONG_COSINE + i] if early else lanes[SHORT_COSINE + i])
+        last_sine = np.float64(lanes[LONG_SINE + i] if early else lanes[SHORT_SINE + i])
+        eta = np.float64(lanes[KICK + i])
+
+        old_z, old_u = np.float64(lanes[LEVEL + i]), np.float64(lanes[SLOPE + i])
+        z = first_cosine * old_z + first_sine * old_u
+        u = first_cosine * old_u - first_sine * old_z
+        half_chord = math.sqrt(max(square_radius - z * z, 1e-300))
+        x = u / half_chord
+        free = max(1.0 - x * x, 0.0)
+        x += eta * np.float64(normal_pair(w0, w1)[0])
+        free = eta * eta * noncentral_chi_square(shape, free / (eta * eta), key0, key1)
+        u = half_chord * x / math.sqrt(x * x + free)
+        new_z = last_cosine * z + last_sine * u
+        new_u = last_cosine * u - last_sine * z
+        inside = min(1.5 - 0.5 * (new_z * new_z + new_u * new_u) / square_bound, 1.0)
+        lanes[LEVEL + i] = new_z * inside
+        lanes[SLOPE + i] = new_u * inside
+        lanes[LEVEL_EXCESS + i] = lanes[TURN + i] * (old_u - new_u) / 12.0
+
+
+@functools.cache
+def direction_quantiles(shape: float) -> npt.NDArray[np.float64]:
+    """CELLS + 1 quantiles of |c|, density ~ (1 - c^2)^(shape - 3/2), scaled so that E c^2 of the chords is 1/(2 shape)."""
+    if shape == 0.5:
+        return np.ones(CELLS + 1)
+    from scipy.special import betaincinv
+
+    quantiles = np.sqrt(betaincinv(0.5, shape - 0.5, np.linspace(0.0, 1.0, CELLS + 1)))
+    low = quantiles[:-1]
+    # the last cell holds the whole tail: end it where its share of E c^2 is right, not at c = 1
+    others = np.mean((low[:-1] ** 2 + low[:-1] * low[1:] + low[1:] ** 2) / 3) * (CELLS - 1) / CELLS
+    share = 3 * CELLS * (0.5 / shape - others)
+    last = low[-1]
+    quantiles[-1] = min((math.sqrt(4 * share - 3 * last * last) - last) / 2 if share > 3 * last * last else last, 1.0)
+    chords = np.mean((quantiles[:-1] ** 2 + quantiles[:-1] * quantiles[1:] + quantiles[1:] ** 2) / 3)
+    scaled: npt.NDArray[np.float64] = np.minimum(quantiles * math.sqrt(0.5 / shape / chords), 1.0)
+    return scaled
+
+
+@functools.cache
+def projection_curve(shape: float) -> npt.NDArray[np.float64]:
+    """CELLS + 1 values of eta at equidistant sqrt(-ln g) in [0, LARGEST_ROOT].
+
+    g(eta) is the mean cosine between a unit vector and its projected Gaussian neighbour in n = 2 shape + 1 dimensions:
+    Gamma((n + 1)/2) / Gamma(n/2 + 1) * k / sqrt(2) * 1F1(1/2; n/2 + 1; -k^2/2), k = 1/eta
+    (K. V. Mardia and P. E. Jupp, Directional Statistics, 2000, sec. 9.3.2).
+    """
+    from scipy.special import gammaln, hyp1f1
+
+    n = 2 * shape + 1
+    eta = np.concatenate([[0.0], np.geomspace(1e-4, 30.0, 6000)])
+    k = 1 / eta[1:]
+    g = np.exp(gammaln((n + 1) / 2) - gammaln(n / 2 + 1)) * k / math.sqrt(2) * hyp1f1(0.5, n / 2 + 1, -(k**2) / 2)
+    root = np.concatenate([[0.0], np.sqrt(-np.log(g))])
+    return np.interp(np.linspace(0.0, LARGEST_ROOT, CELLS + 1), root, eta)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MultiplicativeRoad(Road):
+    """Bounded road with multiplicative noise on the circle Z^2 + U^2 <= level_bound^2; equations (7), (8), (11), (12).
+
+    Args:
+        bandwidth: damping ratio delta of the road filter, 1.
+        noise_intensity: sigma, m^(1/2).
+        level_bound: radius r0 of the circle, m.
+        wavenumber: centre frequency Omega, rad/m.
+    """
+
+    kind: str = dataclasses.field(default="multiplicative", init=False)
+    bandwidth: float = 0.1
+    noise_intensity: float = math.sqrt(0.1)
+    level_bound: float = 1.0
+
+    prepare = prepare
+    start = start
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, "bandwidth", "noise_intensity", "level_bound")
+
+    @classmethod
+    def from_shape(
+        cls, *, shape: float, bandwidth: float = 0.1, level_bound: float = 1.0, wavenumber: float = 1.0
+    ) -> MultiplicativeRoad:
+        """The road whose density (11) has the shape alpha: sigma^2 = 2 delta Omega r0^2 / alpha."""
+        positive("shape", shape)
+        variance = 2 * positive("bandwidth", bandwidth) * positive("wavenumber", wavenumber) * level_bound**2 / shape
+        return cls(
+            bandwidth=bandwidth,
+            noise_intensity=math.sqrt(variance),
+            level_bound=positive("level_bound", level_bound),
+            wavenumber=wavenumber,
+        )
+
+    @property
+    def shape(self) -> float:
+        """alpha = 2 delta Omega r0^2 / sigma^2 (11); rounded to 12 digits, so that it survives `from_shape`."""
+        alpha = 2 * self.bandwidth * self.wavenumber * self.level_bound**2 / self.noise_intensity**2
+        return float(f"{alpha:.12g}")
+
+    @property
+    def variance(self) -> float:
+        """E Z^2 = E U^2 = r0^2 / (2 (alpha + 1)), m^2; (12)."""
+        return self.level_bound**2 / (2 * (self.shape + 1))
+
+    @property
+    def precision(self) -> str:
+        """Below alpha = 1 the path touches the circle, and 1 - r^2/r0^2 needs more digits than single precision has."""
+        return "float64" if self.shape < 1 else "float32"
+
+    @property
+    def advance(self) -> LaneFunction:  # type: ignore[override]
+        """One substep; the scheme depends on the shape."""
+        return advance_small_shape if self.shape < 0.5 else advance
+
+    def table(self) -> npt.NDArray[np.float64]:
+        """Radius, radius less four units in the last place, shape, and the curve of the scheme."""
+        square_radius = 2 * (self.shape + 1)
+        shrink = 1 - 4 * float(np.finfo(self.precision).eps)
+        curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
+        return np.concatenate([[square_radius, square_radius * shrink, self.shape], curve])
+
+    def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
+        """The same road with another bandwidth, and the same shape and variance."""
+        scale = math.sqrt(positive("bandwidth", bandwidth) / self.bandwidth)
+        return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)
