@@ -22,8 +22,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import cfunc, from_dtype, njit, types
 from numba.extending import intrinsic, overload
 
 LANES = 64
@@ -47,6 +48,7 @@ SIZE = 22 * LANES  # numbers in a block
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
 
 compiled: Callable[[Callable[..., Any]], Any] = njit(nogil=True, **_OPTIONS)
+inlined: Callable[[Callable[..., Any]], Any] = njit(inline="always", **_OPTIONS)  # where a call would stop vectorisation
 
 
 def like(reference: Any, value: float) -> Any:
@@ -87,10 +89,11 @@ class LaneFunction:
         self.__doc__ = function.__doc__
         self._compiled: dict[np.dtype[Any], Any] = {}
 
-    def address(self, dtype: np.dtype[Any]) -> int:
-        """Address of the compiled function for blocks of ``dtype`` (float32 or float64)."""
-        if dtype not in self._compiled:
-            real = {np.dtype(np.float32): types.float32, np.dtype(np.float64): types.float64}[dtype]
-            signature = types.void(types.CPointer(real), types.CPointer(types.uint32), types.CPointer(real))
-            self._compiled[dtype] = cfunc(signature, **_OPTIONS)(self.function)
-        return int(self._compiled[dtype].address)
+    def address(self, dtype: npt.DTypeLike) -> int:
+        """Address of the function compiled for ``lanes`` and ``table`` of ``dtype``."""
+        key = np.dtype(dtype)
+        if key not in self._compiled:
+            number = types.CPointer(from_dtype(key))
+            signature = types.void(number, types.CPointer(types.uint32), number)
+            self._compiled[key] = cfunc(signature, **_OPTIONS)(self.function)
+        return int(self._compiled[key].address)

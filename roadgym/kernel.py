@@ -34,11 +34,12 @@ from .compiled import (
     TURN_EXCESS,
     TURN_VARIANCE,
     VELOCITY,
+    LaneFunction,
     call,
     compiled,
     like,
 )
-from .noise import INTERVAL, START, WARM_UP, fill_words, uniform
+from .noise import INTERVAL, START, WARM_UP, uniform
 
 # integers of a plant
 (
@@ -50,12 +51,15 @@ from .noise import INTERVAL, START, WARM_UP, fill_words, uniform
     ROAD_ADVANCE,
     SPEED_START,
     SPEED_ADVANCE,
+    CAR_GRIP,
+    CAR_FOLLOW,
+    FILL_WORDS,
     MAX_EPISODE_STEPS,
     AUTORESET,
     WARM_UP_STEPS,
     HAS_SLOPE,
     INTEGERS,
-) = range(13)
+) = range(16)
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 
 # numbers of a plant
@@ -73,7 +77,7 @@ NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 ) = range(10)
 NUMBERS = WEIGHT + 5
 
-# rows of the counters of a block; the first four are what `fill_words` expects
+# rows of the counters of a block; the first four are what `noise.fill_words` expects
 KEY, EPISODE, STEP, PENDING = 0 * LANES, 2 * LANES, 3 * LANES, 4 * LANES
 COUNTERS = 5 * LANES
 
@@ -82,7 +86,8 @@ PREVIOUS_LEVEL, DAMPING = 0 * LANES, 1 * LANES
 DECAY_11, DECAY_12, DECAY_22 = 2 * LANES, 3 * LANES, 4 * LANES
 SQUARE = 5 * LANES  # five rows, in the order of car.MEAN_SQUARES
 SIGNAL = 10 * LANES  # nine rows, in the order of SIGNALS
-SCRATCH = 19 * LANES
+CONSTANT = 19 * LANES  # the substep, its inverse, and the share of a substep in the interval
+SCRATCH = 20 * LANES
 SIGNALS = (
     "displacement",
     "velocity",
@@ -99,6 +104,55 @@ SIGNALS = (
 REWARD, RESULT_SQUARE, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, RESULTS = 0, 1, 6, 7, 8, 9
 
 
+@LaneFunction
+def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
+    """Prepare the car for an interval: free decay over a substep at the damping of each lane, squares zero."""
+    interval, zero = scratch[CONSTANT], like(lanes, 0.0)
+    for i in range(LANES):
+        phi_11, phi_12, phi_22 = free_decay(scratch[DAMPING + i], interval, lanes)
+        scratch[DECAY_11 + i] = phi_11
+        scratch[DECAY_12 + i] = phi_12
+        scratch[DECAY_22 + i] = phi_22
+        scratch[PREVIOUS_LEVEL + i] = lanes[LEVEL + i]
+        scratch[SQUARE + i] = zero
+        scratch[SQUARE + LANES + i] = zero
+        scratch[SQUARE + 2 * LANES + i] = zero
+        scratch[SQUARE + 3 * LANES + i] = zero
+        scratch[SQUARE + 4 * LANES + i] = zero
+
+
+@LaneFunction
+def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
+    """One substep of the car (see `roadgym.car`); adds the squares at its end to the means over the interval."""
+    rate, share, two = scratch[CONSTANT + 1], scratch[CONSTANT + 2], like(lanes, 2.0)
+    for i in range(LANES):
+        damping = scratch[DAMPING + i]
+        old_z, z, excess = scratch[PREVIOUS_LEVEL + i], lanes[LEVEL + i], lanes[LEVEL_EXCESS + i]
+        k = (z - old_z) * rate - two * damping * excess
+        r = lanes[DISPLACEMENT + i] - old_z - excess
+        p = lanes[VELOCITY + i] - k
+        y = scratch[DECAY_11 + i] * r + scratch[DECAY_12 + i] * p + z + excess
+        x = scratch[DECAY_22 + i] * p - scratch[DECAY_12 + i] * r + k
+        lanes[DISPLACEMENT + i] = y
+        lanes[VELOCITY + i] = x
+        scratch[PREVIOUS_LEVEL + i] = z
+        travel = y - z
+        relative = x - lanes[RATE + i] * lanes[SLOPE + i]
+        acceleration = two * damping * relative + travel
+        scratch[SQUARE + i] += share * y * y
+        scratch[SQUARE + LANES + i] += share * x * x
+        scratch[SQUARE + 2 * LANES + i] += share * acceleration * acceleration
+        scratch[SQUARE + 3 * LANES + i] += share * travel * travel
+        scratch[SQUARE + 4 * LANES + i] += share * relative * relative
+
+
+@compiled
+def draw_words(words: Any, counters: Any, integers: Any, purpose: int, count: int) -> None:
+    """Fill ``count`` rows of ``words`` with the words of this episode and step for ``purpose``."""
+    request = np.array((purpose, count), np.uint32)
+    call(np.uint64(integers[FILL_WORDS]), counters.ctypes.data, words.ctypes.data, request.ctypes.data)
+
+
 @compiled
 def drive_interval(
     lanes: Any,
@@ -108,54 +162,33 @@ def drive_interval(
     road_table: Any,
     speed_table: Any,
     integers: Any,
-    numbers: Any,
     purpose: int,
 ) -> None:
     """Drive one block through one control interval; leaves the mean squares in the scratch."""
     substeps = integers[SUBSTEPS]
     words_per_substep = integers[ROAD_WORDS] + integers[SPEED_WORDS]
-    interval = like(lanes, numbers[SUBSTEP])
-    two, zero = like(lanes, 2.0), like(lanes, 0.0)
-    rate = like(lanes, 1.0 / numbers[SUBSTEP])
-    fill_words(words, counters, purpose, substeps * words_per_substep)
-    for i in range(LANES):
-        phi_11, phi_12, phi_22 = free_decay(scratch[DAMPING + i], interval, lanes)
-        scratch[DECAY_11 + i] = phi_11
-        scratch[DECAY_12 + i] = phi_12
-        scratch[DECAY_22 + i] = phi_22
-    scratch[SQUARE : SQUARE + 5 * LANES] = zero
-
-    block, road, speed = lanes.ctypes.data, road_table.ctypes.data, speed_table.ctypes.data
-    for substep in range(substeps):
-        word = words.ctypes.data + np.uint64(4 * LANES * words_per_substep * substep)
-        for i in range(LANES):
-            scratch[PREVIOUS_LEVEL + i] = lanes[LEVEL + i]
+    draw_words(words, counters, integers, purpose, substeps * words_per_substep)
+    block, word, own = lanes.ctypes.data, words.ctypes.data, scratch.ctypes.data
+    road, speed = road_table.ctypes.data, speed_table.ctypes.data
+    call(np.uint64(integers[CAR_GRIP]), block, word, own)
+    for _ in range(substeps):
         if integers[SPEED_ADVANCE] != 0:
             call(np.uint64(integers[SPEED_ADVANCE]), block, word, speed)
             call(np.uint64(integers[ROAD_PREPARE]), block, word, road)
             word += np.uint64(4 * LANES * integers[SPEED_WORDS])
         call(np.uint64(integers[ROAD_ADVANCE]), block, word, road)
-        for i in range(LANES):
-            damping = scratch[DAMPING + i]
-            old_z, z, excess = scratch[PREVIOUS_LEVEL + i], lanes[LEVEL + i], lanes[LEVEL_EXCESS + i]
-            k = (z - old_z) * rate - two * damping * excess
-            r = lanes[DISPLACEMENT + i] - old_z - excess
-            p = lanes[VELOCITY + i] - k
-            y = scratch[DECAY_11 + i] * r + scratch[DECAY_12 + i] * p + z + excess
-            x = scratch[DECAY_22 + i] * p - scratch[DECAY_12 + i] * r + k
-            lanes[DISPLACEMENT + i] = y
-            lanes[VELOCITY + i] = x
-            travel = y - z
-            relative = x - lanes[RATE + i] * lanes[SLOPE + i]
-            acceleration = two * damping * relative + travel
-            scratch[SQUARE + i] += y * y
-            scratch[SQUARE + LANES + i] += x * x
-            scratch[SQUARE + 2 * LANES + i] += acceleration * acceleration
-            scratch[SQUARE + 3 * LANES + i] += travel * travel
-            scratch[SQUARE + 4 * LANES + i] += relative * relative
-    share = like(lanes, 1.0 / substeps)
-    for i in range(5 * LANES):
-        scratch[SQUARE + i] *= share
+        call(np.uint64(integers[CAR_FOLLOW]), block, word, own)
+        word += np.uint64(4 * LANES * integers[ROAD_WORDS])
+
+
+@compiled
+def make_scratch(state: Any, integers: Any, numbers: Any) -> Any:
+    """Scratch for one block, with the constants of `grip_road` and `follow_road` in place."""
+    scratch = np.zeros(SCRATCH, state.dtype)
+    scratch[CONSTANT] = numbers[SUBSTEP]
+    scratch[CONSTANT + 1] = 1.0 / numbers[SUBSTEP]
+    scratch[CONSTANT + 2] = 1.0 / integers[SUBSTEPS]
+    return scratch
 
 
 @compiled
@@ -176,7 +209,7 @@ def start_block(
     ``forced`` has two rows, speed and bandwidth of each environment, or no columns; where it is not NaN it replaces the draw.
     """
     zero = like(fresh, 0.0)
-    fill_words(words, counters, START, 12)
+    draw_words(words, counters, integers, START, 12)
     for i in range(LANES):
         speed = numbers[SPEED_LOW] + (numbers[SPEED_HIGH] - numbers[SPEED_LOW]) * uniform(words[i])
         bandwidth = numbers[BANDWIDTH_LOW] + (numbers[BANDWIDTH_HIGH] - numbers[BANDWIDTH_LOW]) * uniform(words[LANES + i])
@@ -200,7 +233,7 @@ def start_block(
     if integers[SPEED_START] != 0:
         call(np.uint64(integers[SPEED_START]), block, word + np.uint64(4 * LANES * 8), speed_table.ctypes.data)
     for _ in range(integers[WARM_UP_STEPS]):
-        drive_interval(fresh, scratch, counters, words, road_table, speed_table, integers, numbers, WARM_UP)
+        drive_interval(fresh, scratch, counters, words, road_table, speed_table, integers, WARM_UP)
         for i in range(LANES):
             counters[STEP + i] += np.uint32(1)
 
@@ -236,6 +269,13 @@ def restart_due(
 
 
 @compiled
+def clip(value: Any, low: Any, high: Any) -> Any:
+    """``value`` kept within [low, high]; the built-in min and max would not vectorise here."""
+    value = value if value > low else low
+    return value if value < high else high
+
+
+@compiled
 def observe_block(lanes: Any, scratch: Any, signals: Any, saturation: Any, observations: Any, first: int, count: int) -> None:
     """Write the chosen signals of the first ``count`` lanes to the rows from ``first`` of ``observations``."""
     one, two = like(lanes, 1.0), like(lanes, 2.0)
@@ -245,13 +285,13 @@ def observe_block(lanes: Any, scratch: Any, signals: Any, saturation: Any, obser
         y, x = lanes[DISPLACEMENT + i], lanes[VELOCITY + i]
         z, u = lanes[LEVEL + i], lanes[SLOPE + i]
         travel, relative = y - z, x - lanes[RATE + i] * u
-        scratch[SIGNAL + i] = min(max(y, low), high)
-        scratch[SIGNAL + LANES + i] = min(max(x, low), high)
-        scratch[SIGNAL + 2 * LANES + i] = min(max(z, low), high)
-        scratch[SIGNAL + 3 * LANES + i] = min(max(u, low), high)
-        scratch[SIGNAL + 4 * LANES + i] = min(max(travel, low), high)
-        scratch[SIGNAL + 5 * LANES + i] = min(max(relative, low), high)
-        scratch[SIGNAL + 6 * LANES + i] = min(max(-two * scratch[DAMPING + i] * relative - travel, low), high)
+        scratch[SIGNAL + i] = clip(y, low, high)
+        scratch[SIGNAL + LANES + i] = clip(x, low, high)
+        scratch[SIGNAL + 2 * LANES + i] = clip(z, low, high)
+        scratch[SIGNAL + 3 * LANES + i] = clip(u, low, high)
+        scratch[SIGNAL + 4 * LANES + i] = clip(travel, low, high)
+        scratch[SIGNAL + 5 * LANES + i] = clip(relative, low, high)
+        scratch[SIGNAL + 6 * LANES + i] = clip(-two * scratch[DAMPING + i] * relative - travel, low, high)
         scratch[SIGNAL + 7 * LANES + i] = lanes[SPEED + i] / (one + lanes[SPEED + i])
         scratch[SIGNAL + 8 * LANES + i] = two * lanes[BANDWIDTH + i] / (one + two * lanes[BANDWIDTH + i])
     width = signals.size
@@ -282,7 +322,7 @@ def step_blocks(
     """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring."""
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = np.zeros(SCRATCH, state.dtype)
+    scratch = make_scratch(state, integers, numbers)
     due = np.zeros(LANES, np.bool_)
     nothing_forced = np.empty((2, 0))
     low, high = like(state, numbers[DAMPING_LOW]), like(state, numbers[DAMPING_HIGH])
@@ -296,8 +336,8 @@ def step_blocks(
         first = b * LANES
         count = min(LANES, total - first)
         for i in range(LANES):
-            scratch[DAMPING + i] = min(max(like(state, actions[first + i]), low), high) if i < count else low
-        drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, numbers, INTERVAL)
+            scratch[DAMPING + i] = clip(like(state, actions[first + i]), low, high) if i < count else low
+        drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, INTERVAL)
 
         any_due = False
         for i in range(count):
@@ -379,7 +419,7 @@ def reset_blocks(
     """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all."""
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = np.zeros(SCRATCH, state.dtype)
+    scratch = make_scratch(state, integers, numbers)
     due = np.zeros(LANES, np.bool_)
     for b in range(begin, end):
         lanes = state[b * SIZE : (b + 1) * SIZE]

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .compiled import LANES, compiled
+from .compiled import LANES, LaneFunction, compiled, inlined
 
 START, INTERVAL, WARM_UP = 0, 1, 2  # purposes: what a word is for
 
 Word = Any  # uint32 in compiled code
 
 
-@compiled
+@inlined
 def philox(c0: Word, c1: Word, c2: Word, c3: Word, k0: Word, k1: Word) -> tuple[Word, Word, Word, Word]:
     """Philox4x32-10: four random words for a counter of four words and a key of two."""
     for _ in range(10):
@@ -37,19 +37,18 @@ def philox(c0: Word, c1: Word, c2: Word, c3: Word, k0: Word, k1: Word) -> tuple[
     return c0, c1, c2, c3
 
 
-@compiled
-def fill_words(words: Any, counters: Any, purpose: int, count: int) -> None:
-    """Fill ``words`` with ``count`` rows of LANES words; ``counters`` has the rows key, key, episode, step."""
-    for chunk in range((count + 3) // 4):
+@LaneFunction
+def fill_words(counters: Any, words: Any, request: Any) -> None:
+    """Fill rows of ``words``; all arguments are words. ``counters`` has the rows key, key, episode, step; ``request`` the
+    purpose and the number of rows, which is rounded up to a multiple of four.
+    """
+    purpose = request[0]
+    for chunk in range((request[1] + 3) // 4):
+        number = np.uint32(chunk)
         base = 4 * LANES * chunk
         for i in range(LANES):
             w0, w1, w2, w3 = philox(
-                np.uint32(chunk),
-                counters[3 * LANES + i],
-                counters[2 * LANES + i],
-                np.uint32(purpose),
-                counters[i],
-                counters[LANES + i],
+                number, counters[3 * LANES + i], counters[2 * LANES + i], purpose, counters[i], counters[LANES + i]
             )
             words[base + i] = w0
             words[base + LANES + i] = w1

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from . import kernel
 from .compiled import LANES, SIZE
-from .noise import keys_from_seeds
+from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError
 from .task import OPERATING_POINT, SATURATION, Task
 
@@ -89,6 +89,9 @@ class Plant:
         integers[kernel.ROAD_PREPARE] = road.prepare.address(self.dtype)
         integers[kernel.ROAD_START] = road.start.address(self.dtype)
         integers[kernel.ROAD_ADVANCE] = road.advance.address(self.dtype)
+        integers[kernel.FILL_WORDS] = fill_words.address(np.uint32)
+        integers[kernel.CAR_GRIP] = kernel.grip_road.address(self.dtype)
+        integers[kernel.CAR_FOLLOW] = kernel.follow_road.address(self.dtype)
         if noise is not None:
             integers[kernel.SPEED_WORDS] = noise.words_per_substep
             integers[kernel.SPEED_START] = noise.start.address(self.dtype)

@@ -1,0 +1,133 @@
+"""The single environment: lane 0 of one block of the batch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import ResetNeeded
+
+from .car import MEAN_SQUARES
+from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
+from .parameters import ParameterError
+from .plant import Plant
+from .roads import Road
+from .speed import SpeedNoise
+from .task import make_task
+
+RESET_OPTIONS = ("speed", "bandwidth")
+
+
+def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
+    """The options of a reset as a dictionary; an unknown name raises `ParameterError`."""
+    for name in options or {}:
+        if name not in known:
+            raise ParameterError(f"unknown reset option {name!r}; known: {', '.join(known)}")
+    return dict(options or {})
+
+
+class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
+    """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
+
+    - Action: D itself, `Box(damping_range)`, shape (1,), float32. It saturates at the range, as an actuator does; an action
+      that is not finite or has another shape raises.
+    - Reward: minus the weighted sum of the interval's mean squares over the road's variance E Z^2. With the default weights the
+      mean reward at constant D is minus the variance ratio E Y^2 / E Z^2, for example (16) of Wedig (2020).
+    - Observation: float32, the signals named in ``signal_names``, in units of the road's standard deviation (velocity over w1,
+      acceleration over w1^2), saturating at 20 of them; then the operating point, speed as nu/(1 + nu) with
+      nu = speed * wavenumber / natural_frequency and, where it exists, bandwidth delta as 2 delta/(1 + 2 delta).
+      ``signal_scale`` holds the factors that make metres of them.
+    - Info after a step: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
+      ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
+      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1).
+    - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
+      stationary law and the car at rest, or warmed up.
+    - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
+
+    The parameters are those of `roadgym.task.make_task`. The noise depends on the seed, the number of resets since it was given
+    and the step alone, so two controllers with the same seed meet the same road.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        *,
+        road: str | Mapping[str, Any] | Road = "multiplicative",
+        speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
+        speed: float | Sequence[float] = 1.0,
+        bandwidth: float | Sequence[float] | None = None,
+        damping_range: Sequence[float] = (0.05, 1.0),
+        reward: Mapping[str, float] | None = None,
+        observation: Sequence[str] | None = None,
+        natural_frequency: float = 1.0,
+        control_interval: float | None = None,
+        substeps: int | None = None,
+        warm_up: float = 0.0,
+        warm_up_damping: float | None = None,
+        precision: str | None = None,
+        render_mode: None = None,
+    ) -> None:
+        self.task = make_task(
+            road=road,
+            speed_noise=speed_noise,
+            speed=speed,
+            bandwidth=bandwidth,
+            damping_range=damping_range,
+            reward=reward,
+            observation=observation,
+            natural_frequency=natural_frequency,
+            control_interval=control_interval,
+            substeps=substeps,
+            warm_up=warm_up,
+            warm_up_damping=warm_up_damping,
+            precision=precision,
+        )
+        self.render_mode = render_mode
+        self.action_space = self.task.action_space
+        self.observation_space = self.task.observation_space
+        self.signal_names = self.task.signals
+        self.signal_scale = self.task.signal_scale
+        self._plant = Plant(self.task, 1, threads=1)
+        self._mask = np.ones(1, np.bool_)
+        self._variance = self.task.road.variance
+        self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
+
+    def _operating_point(self, results: Sequence[float]) -> dict[str, Any]:
+        point = {"speed": results[RESULT_SPEED] * self._metres_per_second}
+        if self.task.bandwidth[1] > 0:
+            point["bandwidth"] = results[RESULT_BANDWIDTH]
+        return point
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begin the next episode; see the class for ``options``."""
+        forced = self._plant.forced(check_options(options))
+        super().reset(seed=seed)
+        if seed is None and not self._plant.started:
+            seed = int(self.np_random.integers(2**63))
+        if seed is not None:
+            self._plant.seed(np.array([seed % 2**64], np.uint64), self._mask)
+        observations, results = self._plant.reset(forced, self._mask)
+        return observations[0], self._operating_point(results[:, 0].tolist())
+
+    def step(
+        self, action: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Drive one control interval with the damping ratio ``action``, shape (1,)."""
+        if not self._plant.started:
+            raise ResetNeeded("call reset before step")
+        actions = np.asarray(action, np.float32)
+        if actions.shape != (1,) or not math.isfinite(actions[0]):
+            raise ParameterError(f"action must be one finite number, shape (1,), got {action!r}")
+        observations, results, _, _ = self._plant.step(actions)
+        values = results[:, 0].tolist()
+        info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}
+        info["damping"] = values[RESULT_DAMPING]
+        info.update(self._operating_point(values))
+        return observations[0], values[REWARD], False, False, info

@@ -1,0 +1,177 @@
+"""The native batch environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from .car import MEAN_SQUARES
+from .env import RESET_OPTIONS, check_options
+from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
+from .parameters import ParameterError, whole
+from .plant import Plant
+from .roads import Road
+from .speed import SpeedNoise
+from .task import make_task
+
+Floats = npt.NDArray[np.float32]
+
+
+def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """An autoreset mode from its name, its value, or as it is."""
+    for candidate in AutoresetMode:
+        if mode in (candidate, candidate.value, candidate.name, candidate.name.lower()):
+            return candidate
+    raise ParameterError(f"autoreset_mode must be one of {[m.name for m in AutoresetMode]}, got {mode!r}")
+
+
+class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
+    """``num_envs`` quarter cars, stepped together; environment i with seed s equals `QuarterCarEnv` with seed s + i bit by bit.
+
+    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments.
+
+    Args:
+        num_envs: number of environments.
+        max_episode_steps: steps in an episode; None, 0 or -1 for no limit.
+        autoreset_mode: when an environment whose episode is over begins the next one. NEXT_STEP: in the next step, which
+            ignores its action, returns the first observation and the reward 0. SAME_STEP: at once; the last observation and the
+            infos of the old episode are under "final_obs" and "final_info". DISABLED: when ``reset`` is called with the option
+            "reset_mask", a boolean array of shape (num_envs,); until then it drives on, truncated in every step.
+        threads: number of threads; results do not depend on it. By default one a processor, where the batch is large enough.
+
+    All others are the parameters of `roadgym.task.make_task`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = 500,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        road: str | Mapping[str, Any] | Road = "multiplicative",
+        speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
+        speed: float | Sequence[float] = 1.0,
+        bandwidth: float | Sequence[float] | None = None,
+        damping_range: Sequence[float] = (0.05, 1.0),
+        reward: Mapping[str, float] | None = None,
+        observation: Sequence[str] | None = None,
+        natural_frequency: float = 1.0,
+        control_interval: float | None = None,
+        substeps: int | None = None,
+        warm_up: float = 0.0,
+        warm_up_damping: float | None = None,
+        precision: str | None = None,
+        render_mode: None = None,
+    ) -> None:
+        self.num_envs = whole("num_envs", num_envs)
+        mode = make_autoreset_mode(autoreset_mode)
+        limit = 0 if max_episode_steps in (None, 0, -1) else whole("max_episode_steps", max_episode_steps)
+        self.task = make_task(
+            road=road,
+            speed_noise=speed_noise,
+            speed=speed,
+            bandwidth=bandwidth,
+            damping_range=damping_range,
+            reward=reward,
+            observation=observation,
+            natural_frequency=natural_frequency,
+            control_interval=control_interval,
+            substeps=substeps,
+            warm_up=warm_up,
+            warm_up_damping=warm_up_damping,
+            precision=precision,
+        )
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.render_mode = render_mode
+        self.single_action_space = self.task.action_space
+        self.single_observation_space = self.task.observation_space
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.signal_names = self.task.signals
+        self.signal_scale = self.task.signal_scale
+        self._plant = Plant(
+            self.task,
+            self.num_envs,
+            max_episode_steps=limit,
+            autoreset=mode.name.lower(),
+            threads=None if threads is None else whole("threads", threads),
+        )
+        self._same_step = mode is AutoresetMode.SAME_STEP
+        self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
+        self._all = np.ones(self.num_envs, np.bool_)
+
+    def _operating_point(self, results: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        info: dict[str, Any] = {"speed": results[RESULT_SPEED] * self._metres_per_second, "_speed": mask}
+        if self.task.bandwidth[1] > 0:
+            info["bandwidth"], info["_bandwidth"] = results[RESULT_BANDWIDTH], mask
+        return info
+
+    def _seeds(self, seed: int | Sequence[int | None] | None, mask: npt.NDArray[np.bool_]) -> None:
+        """Seed the masked environments: s + i from an integer s, or one each from a sequence, None leaving one as it is."""
+        n = self.num_envs
+        if seed is None:
+            if self._plant.started:
+                return
+            seed = int(self.np_random.integers(2**63))
+        if isinstance(seed, (int, np.integer)):
+            seeds = np.arange(n, dtype=np.uint64) + np.uint64(int(seed) % 2**64)
+        else:
+            if len(seed) != n:
+                raise ParameterError(f"seed must be one integer or {n} of them, got {len(seed)}")
+            if not self._plant.started:
+                fresh = self.np_random.integers(2**63, size=n).tolist()
+                seed = [new if given is None else given for given, new in zip(seed, fresh, strict=True)]
+            mask = mask & np.array([given is not None for given in seed])
+            seeds = np.array([(given or 0) % 2**64 for given in seed], np.uint64)
+        self._plant.seed(seeds, mask)
+
+    def reset(  # type: ignore[override]
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Begin the next episode everywhere, or where the option "reset_mask" is true.
+
+        The options "speed" and "bandwidth", a number or one for each environment, fix the operating point of that episode.
+        """
+        chosen = check_options(options, (*RESET_OPTIONS, "reset_mask"))
+        mask = chosen.get("reset_mask", self._all)
+        if not isinstance(mask, np.ndarray) or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ParameterError(f"option 'reset_mask' must be a boolean array of shape ({self.num_envs},), got {mask!r}")
+        if not self._plant.started and not mask.all():
+            raise ResetNeeded("the first reset must reset every environment")
+        forced = self._plant.forced(chosen)
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        self._seeds(seed, mask)
+        observations, results = self._plant.reset(forced, mask)
+        return observations, self._operating_point(results, mask.copy())
+
+    def step(self, actions: Floats) -> tuple[Floats, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+        """Drive one control interval with the damping ratios ``actions``, shape (num_envs, 1)."""
+        if not self._plant.started:
+            raise ResetNeeded("call reset before step")
+        damping = np.ascontiguousarray(actions, np.float32)
+        if damping.shape != (self.num_envs, 1):
+            raise ParameterError(f"actions must have the shape ({self.num_envs}, 1), got {damping.shape}")
+        if not np.isfinite(damping).all():
+            raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
+        observations, results, truncated, final = self._plant.step(damping.reshape(-1))
+        squares = results[RESULT_SQUARE : RESULT_SQUARE + 5]
+        squares *= self._plant.dtype.type(self.task.road.variance)
+        mask = self._all.copy()
+        info = self._operating_point(results, mask)
+        for name, row in zip(MEAN_SQUARES, squares, strict=True):
+            info[name], info["_" + name] = row, mask
+        info["damping"], info["_damping"] = results[RESULT_DAMPING], mask
+        if self._same_step and truncated.any():
+            final_info = {name: value.copy() if name[0] == "_" else value for name, value in info.items()}
+            info["final_info"], info["_final_info"] = final_info, truncated.copy()
+            info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None, object), truncated.copy()
+            for i in np.flatnonzero(truncated):
+                info["final_obs"][i] = final[i]
+        return observations, results[REWARD], np.zeros(self.num_envs, np.bool_), truncated, info
