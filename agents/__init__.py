@@ -1,0 +1,40 @@
+"""Who drives, and how far from optimal: controllers, training, evaluation and comparison.
+
+The names below are imported when they are first used, so that importing this package loads neither torch nor
+stable-baselines3.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .comparison import compare as compare
+    from .controllers import CONTROLLERS as CONTROLLERS
+    from .controllers import Controller as Controller
+    from .controllers import make_controller as make_controller
+    from .evaluation import evaluate as evaluate
+    from .training import Agent as Agent
+    from .training import AgentError as AgentError
+    from .training import load as load
+    from .training import train as train
+
+_HOME = {
+    "CONTROLLERS": "controllers",
+    "Agent": "training",
+    "AgentError": "training",
+    "Controller": "controllers",
+    "compare": "comparison",
+    "evaluate": "evaluation",
+    "load": "training",
+    "make_controller": "controllers",
+    "train": "training",
+}
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)

@@ -55,6 +55,11 @@ class Task:
     precision: str
 
     @property
+    def weights_by_name(self) -> dict[str, float]:
+        """The positive weights of the reward, by mean square."""
+        return {name: weight for name, weight in zip(MEAN_SQUARES, self.weights, strict=True) if weight}
+
+    @property
     def action_space(self) -> spaces.Box:
         """The damping ratio D, shape (1,), float32."""
         low, high = self.damping_range

@@ -1,0 +1,310 @@
+"""The command line: ``roadgym train``, ``roadgym evaluate`` and ``roadgym compare``.
+
+Exit codes: 0 success, 2 a wrong argument or an unusable folder (one line says which), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from roadgym import ROADS, SPEED_NOISES, ParameterError, __version__
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    parser = make_parser()
+    chosen = parser.parse_args(arguments)
+    from .training import AgentError
+
+    try:
+        chosen.run(chosen)
+    except (ParameterError, AgentError) as error:
+        print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"roadgym {chosen.command}: interrupted; an agent in training is kept, resume it with --resume", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 0
+    return 0
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """All commands and their options."""
+    parser = argparse.ArgumentParser(
+        prog="roadgym", description="Learn to damp a car on a random road, and know how far from the exact optimum you are."
+    )
+    parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    train = _command(commands, "train", run_train, "train an agent into a folder", "roadgym train --output runs/ppo --seed 1")
+    train.add_argument("--output", required=True, metavar="DIR", help="folder of the agent")
+    train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
+    train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
+    _add_training(train)
+    _add_environment(train)
+
+    evaluate = _command(
+        commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/ppo"
+    )
+    who = evaluate.add_mutually_exclusive_group(required=True)
+    who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--controller", metavar="NAME", help="a classical controller: analytic_optimum, d_min, d_max, skyhook")
+    evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    _add_evaluation(evaluate)
+    _add_environment(evaluate)
+
+    compare = _command(
+        commands,
+        "compare",
+        run_compare,
+        "train an agent, then compare it with the analytic optimum and classical controllers over the same noise",
+        "roadgym compare --output results",
+    )
+    compare.add_argument("--output", default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)")
+    compare.add_argument("--agent", metavar="DIR", help="folder of a trained agent, instead of training one")
+    compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    _add_training(compare)
+    _add_evaluation(compare)
+    _add_environment(compare)
+    return parser
+
+
+def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary, epilog=f"example: {example}")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_training(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("training")
+    group.add_argument("--algorithm", default="ppo", help="learning algorithm (%(default)s)")
+    group.add_argument("--hyperparameters", metavar="FILE", help="YAML file of hyperparameters")
+    group.add_argument("--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps")
+    group.add_argument("--checkpoint-interval", type=int, default=100_000, help="timesteps between checkpoints (%(default)s)")
+    group.add_argument("--seed", type=int, default=0, help="seed of training and of the evaluation's roads (%(default)s)")
+
+
+def _add_evaluation(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("evaluation")
+    group.add_argument("--speeds", type=float, nargs="+", metavar="V", help="speeds, m/s (0.7 1 1.5 2 3)")
+    group.add_argument("--bandwidths", type=float, nargs="+", metavar="DELTA", help="road bandwidths (0.1 0.3)")
+    group.add_argument("--episodes", type=int, default=256, help="episodes at each operating point (%(default)s)")
+    if parser.get_default("run") is run_evaluate:
+        group.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
+
+
+def _add_environment(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "environment", "by default the bounded road over a range of speeds and bandwidths; with --agent, what it was trained on"
+    )
+    group.add_argument("--road", type=_component, help=f"{', '.join(ROADS)}, or a JSON mapping with the key kind")
+    group.add_argument("--speed-noise", type=_component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind")
+    group.add_argument("--speed-range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of speeds, m/s (0.5 3.2)")
+    group.add_argument("--bandwidth-range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of bandwidths (0.05 0.5)")
+    group.add_argument("--damping-range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the action (0.05 1)")
+    group.add_argument("--weights", type=_weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
+    group.add_argument("--control-interval", type=float, metavar="S", help="time between actions, s (0.2/natural frequency)")
+    group.add_argument("--natural-frequency", type=float, metavar="W1", help="natural frequency of the car, rad/s (1)")
+
+
+def _component(text: str) -> Any:
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"not JSON: {error}") from None
+
+
+def _weights(text: str) -> dict[str, float]:
+    weights = {}
+    for part in text.split(","):
+        name, separator, value = part.partition("=")
+        try:
+            weights[name.strip()] = float(value) if separator else 1.0
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"the weight of {name!r} must be a number, got {value!r}") from None
+    return weights
+
+
+def environment_from(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Parameters of the environment from the options, over the defaults; checks them."""
+    from roadgym.task import make_task
+
+    from .training import DEFAULT_ENVIRONMENT
+
+    environment = dict(DEFAULT_ENVIRONMENT)
+    given = {
+        "road": chosen.road,
+        "speed_noise": chosen.speed_noise,
+        "speed": chosen.speed_range,
+        "bandwidth": chosen.bandwidth_range,
+        "damping_range": chosen.damping_range,
+        "reward": chosen.weights,
+        "control_interval": chosen.control_interval,
+        "natural_frequency": chosen.natural_frequency,
+    }
+    environment.update({name: value for name, value in given.items() if value is not None})
+    if chosen.bandwidth_range is None and make_task(road=environment["road"]).bandwidth[1] == 0:
+        del environment["bandwidth"]
+    make_task(**environment)
+    return environment
+
+
+def _grid(chosen: argparse.Namespace) -> dict[str, Any]:
+    from .comparison import BANDWIDTHS, SPEEDS
+
+    return {"speeds": chosen.speeds or SPEEDS, "bandwidths": chosen.bandwidths or BANDWIDTHS}
+
+
+def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
+    """Find fault with the evaluation before any long work."""
+    from roadgym.parameters import whole
+    from roadgym.task import make_task
+
+    from .evaluation import FEWEST_EPISODES, make_points
+
+    grid = _grid(chosen)
+    make_points(make_task(**environment), grid["speeds"], grid["bandwidths"])
+    whole("episodes", chosen.episodes, low=FEWEST_EPISODES)
+    whole("seed", chosen.seed, low=0)
+
+
+def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, resume: bool) -> Any:
+    from .progress import training_progress
+    from .training import load_hyperparameters, train
+
+    with training_progress() as report:
+        return train(
+            folder,
+            algorithm=chosen.algorithm,
+            environment=environment,
+            hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
+            seed=chosen.seed,
+            timesteps=chosen.timesteps,
+            checkpoint_interval=chosen.checkpoint_interval,
+            resume=resume,
+            tensorboard=getattr(chosen, "tensorboard", False),
+            report=report,
+        )
+
+
+def run_train(chosen: argparse.Namespace) -> None:
+    """``roadgym train``."""
+    folder = Path(chosen.output)
+    agent = _train(chosen, folder, None if chosen.resume else environment_from(chosen), resume=chosen.resume)
+    print(f"trained for {agent.description['timesteps']} steps: {folder}")
+
+
+def run_evaluate(chosen: argparse.Namespace) -> None:
+    """``roadgym evaluate``."""
+    from roadgym.task import make_task
+
+    from .comparison import with_error
+    from .controllers import make_controller
+    from .evaluation import evaluate
+    from .progress import evaluation_progress
+    from .training import load
+
+    if chosen.agent:
+        agent = load(chosen.agent)
+        environment, controller, name = agent.description["environment"], agent, chosen.agent
+        _refuse_environment(chosen)
+    else:
+        environment = environment_from(chosen)
+        name = chosen.controller
+        controller = make_controller(name, make_task(**environment))
+    _check_evaluation(chosen, environment)
+    with evaluation_progress() as report:
+        result = evaluate(
+            {name: controller},
+            environment=environment,
+            episodes=chosen.episodes,
+            seed=chosen.seed,
+            report=report,
+            **_grid(chosen),
+        )[name]
+    rows = [
+        {
+            "speed": point.speed,
+            "bandwidth": point.bandwidth,
+            "cost": float(result.mean[k]),
+            "standard_error": float(result.standard_error[k]),
+            "switches": float(result.switches[k]),
+        }
+        for k, point in enumerate(result.points)
+    ]
+    if chosen.json:
+        print(json.dumps({"controller": name, "rows": rows}, indent=2))
+        return
+    print("speed m/s  bandwidth            cost  switches 1/s")
+    for row in rows:
+        cost = with_error(row["cost"], row["standard_error"])
+        print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
+
+
+def run_compare(chosen: argparse.Namespace) -> None:
+    """``roadgym compare``."""
+    from .comparison import compare, table, write
+    from .progress import evaluation_progress
+    from .training import load, make_folder
+
+    if chosen.agent:
+        agent = load(chosen.agent)
+        _refuse_environment(chosen)
+        environment = agent.description["environment"]
+        _check_evaluation(chosen, environment)
+        folder = make_folder(chosen.output)
+    else:
+        environment = environment_from(chosen)
+        _check_evaluation(chosen, environment)
+        folder = make_folder(chosen.output)
+        agent = _train(chosen, folder / "agent", environment, resume=_same_agent(chosen, folder / "agent", environment))
+    with evaluation_progress() as report:
+        comparison = compare(
+            agent,
+            environment=environment,
+            episodes=chosen.episodes,
+            seed=chosen.seed,
+            report=report,
+            description=agent.description,
+            **_grid(chosen),
+        )
+    files = write(comparison, folder, agent)
+    print(comparison.to_json() if chosen.json else table(comparison))
+    for file in files:
+        print(f"wrote {file}", file=sys.stderr)
+
+
+def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]) -> bool:
+    """Does the folder hold an agent that this very command began? Then it is resumed; any other is an error of training."""
+    from .training import DESCRIPTION, load, load_hyperparameters, plain
+
+    if not (folder / DESCRIPTION).exists():
+        return False
+    known = load(folder).description
+    asked = {
+        "algorithm": chosen.algorithm,
+        "environment": plain(environment),
+        "hyperparameters": plain(load_hyperparameters(chosen.algorithm, chosen.hyperparameters)),
+        "seed": chosen.seed,
+    }
+    return all(known.get(name) == value for name, value in asked.items())
+
+
+def _refuse_environment(chosen: argparse.Namespace) -> None:
+    """With an agent the environment is given."""
+    options = ("road", "speed_noise", "speed_range", "bandwidth_range", "damping_range", "weights")
+    for name in (*options, "control_interval", "natural_frequency"):
+        if getattr(chosen, name) is not None:
+            raise ParameterError(f"--{name.replace('_', '-')} cannot be given with --agent: the agent's environment holds")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,59 @@
+"""Progress on the terminal's error stream: a bar where there is a terminal, else a line now and then."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+@contextlib.contextmanager
+def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
+    """A function of (what, done, in all, remark)."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        told: dict[str, int] = {}
+
+        def tell(what: str, done: int, total: int, remark: str) -> None:
+            quarter = 4 * done // total
+            if told.get(what, 0) < quarter:
+                told[what] = quarter
+                print(f"{what}: {done} of {total}{remark and ', ' + remark}", file=sys.stderr, flush=True)
+
+        yield tell
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} {task.fields[remark]}"))
+    with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
+        bars: dict[str, object] = {}
+
+        def show(what: str, done: int, total: int, remark: str) -> None:
+            if what not in bars:
+                bars[what] = progress.add_task(what, total=total, remark=remark)
+            progress.update(bars[what], completed=done, remark=remark)  # type: ignore[arg-type]
+
+        yield show
+
+
+@contextlib.contextmanager
+def training_progress() -> Iterator[Callable[[int, int, float | None], None]]:
+    """A report for `agents.train`."""
+    with _bar() as tell:
+
+        def report(done: int, total: int, reward: float | None) -> None:
+            tell("training", done, total, "" if reward is None else f"mean cost {-reward:.3f}")
+
+        yield report
+
+
+@contextlib.contextmanager
+def evaluation_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """A report for `agents.evaluate`."""
+    with _bar() as tell:
+
+        def report(controller: str, done: int, total: int) -> None:
+            tell(f"driving {controller}", done, total, "")
+
+        yield report

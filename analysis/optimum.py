@@ -1,0 +1,100 @@
+"""The best constant damping."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.parameters import positive_range
+from roadgym.reward import check_weights
+from roadgym.roads import Road, make_road
+from roadgym.speed import SpeedNoise, make_speed_noise
+
+from .checks import FloatArray, broadcast, non_negative_array, positive_array
+from .response import mean_squares
+
+DISPLACEMENT: Mapping[str, float] = MappingProxyType({"displacement": 1.0})
+COARSE, FINE, ROUNDS = 129, 17, 8  # points of the first grid and of each finer one; the bracket shrinks by 8 a round
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Optimum:
+    """The best constant damping and what it costs, each in the common shape of the arguments.
+
+    Args:
+        damping: D, 1.
+        cost: weighted mean squares over the road's variance, 1: minus the mean reward.
+    """
+
+    damping: FloatArray
+    cost: FloatArray
+
+
+def optimal_damping(
+    road: str | Mapping[str, Any] | Road,
+    speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
+    *,
+    speed: npt.ArrayLike,
+    natural_frequency: float = 1.0,
+    weights: Mapping[str, float] = DISPLACEMENT,
+    bounds: tuple[float, float] = (0.05, 1.0),
+    bandwidth: npt.ArrayLike | None = None,
+) -> Optimum:
+    """The constant damping within ``bounds`` at which the weighted mean squares are least.
+
+    The global minimum: a grid even in log D finds its neighbourhood, ever finer ones the minimum, to about 1e-8 of itself, as
+    far as rounding lets it be seen. A minimum at a bound is exactly that bound; where the cost is flat, the bound goes first.
+    Bounds are needed because the best damping may be infinite, as for the displacement on second-order and harmonic roads at
+    speeds below sqrt(2) w1/wavenumber, or zero.
+
+    Args:
+        road: a road, or its name or mapping.
+        speed_noise: noise on the speed, or its name or mapping, or None.
+        speed: v >= 0, m/s, any shape.
+        natural_frequency: w1, rad/s.
+        weights: weights of the mean squares, as of the reward of the environment.
+        bounds: smallest and largest damping, 0 < low <= high.
+        bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts with ``speed``.
+
+    Raises:
+        ParameterError: a value out of range, a weight on a mean square that diverges, or no closed form (see `mean_squares`).
+    """
+    road = make_road(road)
+    speed_noise = make_speed_noise(speed_noise, road)
+    checked = check_weights(weights, road, speed_noise)
+    low, high = positive_range("bounds", bounds)
+    arrays = {"speed": non_negative_array("speed", speed)}
+    if bandwidth is not None:
+        arrays["bandwidth"] = positive_array("bandwidth", bandwidth)
+    speed, *rest = broadcast(**arrays)
+
+    def cost_of(damping: FloatArray) -> FloatArray:
+        result = mean_squares(
+            road,
+            speed_noise,
+            damping=damping,
+            speed=speed,
+            natural_frequency=natural_frequency,
+            bandwidth=rest[0] if rest else None,
+        )
+        cost: FloatArray = sum(weight * getattr(result, name) for name, weight in checked.items() if weight) / road.variance
+        return cost
+
+    points = np.geomspace(np.full(speed.shape, low), high, COARSE)
+    for _ in range(ROUNDS + 1):
+        costs = cost_of(points)
+        best = np.argmin(costs, axis=0, keepdims=True)
+        damping, cost = np.take_along_axis(points, best, 0)[0], np.take_along_axis(costs, best, 0)[0]
+        left = np.take_along_axis(points, np.maximum(best - 1, 0), 0)[0]
+        right = np.take_along_axis(points, np.minimum(best + 1, len(points) - 1), 0)[0]
+        points = np.linspace(left, right, FINE)
+    for bound in (high, low):
+        at_bound = cost_of(np.full(speed.shape, bound))
+        flat = at_bound <= cost * (1 + 4 * np.finfo(np.float64).eps)
+        damping, cost = np.where(flat, bound, damping), np.where(flat, at_bound, cost)
+    return Optimum(damping=damping[()], cost=cost[()])

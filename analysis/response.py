@@ -1,0 +1,158 @@
+"""Stationary mean squares of the car at constant damping: (3), (6), (14)-(17) of Wedig (2020), and more of the same kind.
+
+All are combinations of the mean squares P_m of q and its derivatives, where q'' + 2 D q' + q = Z in units of time 1/w1, because
+the car's transfer function has the numerator 1 + 2 D s:
+
+    displacement P_0 + 4 D^2 P_1, velocity P_1 + 4 D^2 P_2, acceleration P_2 + 4 D^2 P_3, travel P_2, relative velocity P_3.
+
+`roadgym.reward` says which of them diverge on a road whose rate of change contains white noise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.parameters import ParameterError, positive
+from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.speed import SpeedNoise, make_speed_noise
+
+from .checks import FloatArray, broadcast, non_negative_array, positive_array
+from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MeanSquares:
+    """Stationary mean squares of the car, m^2, not divided by the road's variance; each in the common shape of the arguments.
+
+    Args:
+        displacement: E Y^2.
+        velocity: E (Y'/w1)^2.
+        acceleration: E (Y''/w1^2)^2.
+        travel: E (Y - Z)^2.
+        relative_velocity: E ((Y' - Z')/w1)^2.
+    """
+
+    displacement: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    travel: FloatArray
+    relative_velocity: FloatArray
+
+
+def mean_squares(
+    road: str | Mapping[str, Any] | Road,
+    speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
+    *,
+    damping: npt.ArrayLike,
+    speed: npt.ArrayLike,
+    natural_frequency: float = 1.0,
+    bandwidth: npt.ArrayLike | None = None,
+) -> MeanSquares:
+    """Stationary mean squares at constant damping; (3), (6), (16), (17) of Wedig (2020) and their companions.
+
+    Exact on every road, and under speed noise on the harmonic road. Of multiplicative roads only the variance enters.
+
+    Args:
+        road: a road, or its name or mapping.
+        speed_noise: noise on the speed, or its name or mapping, or None.
+        damping: D > 0, 1, any shape.
+        speed: mean speed v >= 0, m/s, any shape that broadcasts.
+        natural_frequency: w1, rad/s.
+        bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts; second-order roads.
+
+    Returns:
+        The five mean squares, m^2; infinite where they diverge because the road's rate of change contains white noise.
+
+    Raises:
+        ParameterError: a value out of range, or low-pass noise on a random road, for which there is no closed form.
+    """
+    road = make_road(road)
+    speed_noise = make_speed_noise(speed_noise, road)
+    natural_frequency = positive("natural_frequency", natural_frequency)
+    arrays = {"damping": positive_array("damping", damping), "speed": non_negative_array("speed", speed)}
+    if bandwidth is not None:
+        arrays["bandwidth"] = positive_array("bandwidth", bandwidth)
+        if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+            raise ParameterError(f"bandwidth must be None: a {road.kind} road has none")
+    elif isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+        arrays["bandwidth"] = np.asarray(road.bandwidth)
+    damping, speed, *rest = broadcast(**arrays)
+    ratio = speed * (road.wavenumber / natural_frequency)
+    if speed_noise is not None and not isinstance(road, HarmonicRoad):
+        raise ParameterError(
+            f"speed_noise must be None on a {road.kind} road: with {speed_noise.kind} noise there is no closed form"
+        )
+    if isinstance(road, HarmonicRoad):
+        p0, p1, p2, p3 = filter_mean_squares(speed_noise, damping, ratio, natural_frequency)
+    elif isinstance(road, FirstOrderRoad):
+        p0, p1, p2 = decaying_mean_squares(damping, 0.0, ratio)
+        p3 = np.where(ratio > 0, np.inf, 0.0)
+    elif isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+        p0, p1, p2, p3 = _second_order(damping, ratio, rest[0])
+    else:
+        raise ParameterError(f"road must be of a kind whose mean squares are known, got a {road.kind} road")
+    gain = 4 * damping**2
+    return MeanSquares(
+        displacement=road.variance * (p0 + gain * p1),
+        velocity=road.variance * (p1 + gain * p2),
+        acceleration=road.variance * (p2 + gain * p3),
+        travel=road.variance * p2,
+        relative_velocity=road.variance * p3,
+    )
+
+
+def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray) -> MeanSquaresOfFilter:
+    """P_0, ..., P_3 on a second-order road of variance 1; no term is negative."""
+    mixed, crossed = bandwidth + damping * ratio, damping + bandwidth * ratio
+    denominator = ((1 - ratio) * (1 + ratio)) ** 2 + 4 * ratio * crossed * mixed  # (15)
+    cube = ratio**3 / damping
+    p0 = 1 + 4 * bandwidth * ratio * crossed + bandwidth * cube
+    p1 = ratio**2 / damping * crossed
+    p2 = cube * mixed
+    p3 = cube * (4 * damping * bandwidth * ratio * mixed + damping * ratio**3 + bandwidth)
+    return p0 / denominator, p1 / denominator, p2 / denominator, p3 / denominator
+
+
+def covariance(
+    road: str | Mapping[str, Any] | Road, *, damping: npt.ArrayLike, speed: npt.ArrayLike, natural_frequency: float = 1.0
+) -> FloatArray:
+    """Stationary covariance of (Y, X, Z, U), X = Y'/w1, on a second-order road, from the moment equations (14) of Wedig (2020).
+
+    Solved numerically, independent of the closed forms of `mean_squares`.
+
+    Args:
+        road: a Gaussian or multiplicative road.
+        damping: D > 0, 1, any shape.
+        speed: v >= 0, m/s, any shape that broadcasts.
+        natural_frequency: w1, rad/s.
+
+    Returns:
+        Covariance matrices, m^2, in the common shape followed by (4, 4).
+    """
+    road = make_road(road)
+    if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+        raise ParameterError(f"road must be gaussian or multiplicative, got a {road.kind} road")
+    damping, speed = broadcast(damping=positive_array("damping", damping), speed=non_negative_array("speed", speed))
+    nu = speed * (road.wavenumber / positive("natural_frequency", natural_frequency))
+    twice = 2 * damping
+    delta = road.bandwidth
+    matrix = np.zeros((*nu.shape, 4, 4))  # (14), for E ZY, E ZX, E UY, E UX over E Z^2
+    matrix[..., 0, 1], matrix[..., 0, 2] = -1, -nu
+    matrix[..., 1, 0], matrix[..., 1, 1], matrix[..., 1, 3] = 1, twice, -nu
+    matrix[..., 2, 0], matrix[..., 2, 2], matrix[..., 2, 3] = nu, 2 * delta * nu, -1
+    matrix[..., 3, 1], matrix[..., 3, 2], matrix[..., 3, 3] = nu, 1, twice + 2 * delta * nu
+    forcing = np.zeros((*nu.shape, 4, 1))
+    forcing[..., 1, 0], forcing[..., 3, 0] = 1, twice * nu
+    zy, zx, uy, ux = np.moveaxis(np.linalg.solve(matrix, forcing)[..., 0], -1, 0)
+    velocity = nu * ux + zx / twice  # from d(X^2)
+    result = np.zeros((*nu.shape, 4, 4))
+    result[..., 0, 0], result[..., 1, 1] = velocity + zy + twice * nu * uy, velocity  # from d(Y X)
+    result[..., 2, 2] = result[..., 3, 3] = 1
+    for row, column, value in ((0, 2, zy), (1, 2, zx), (0, 3, uy), (1, 3, ux)):
+        result[..., row, column] = result[..., column, row] = value
+    return road.variance * result

@@ -1,0 +1,111 @@
+"""Stationary densities and spectra of the roads: (5) and (11) of Wedig (2020), and their marginals.
+
+The variance is `road.variance`. Level Z and scaled slope U, dZ/ds = wavenumber * U, are both in metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.parameters import ParameterError
+from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+
+from .checks import FloatArray, broadcast, number_array, positive_array
+
+
+def density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike, slope: npt.ArrayLike) -> FloatArray:
+    """Joint stationary density p(z, u) of level and slope; (11) of Wedig (2020), and its Gaussian limit.
+
+    Args:
+        road: a Gaussian or multiplicative road.
+        level: z, m, any shape.
+        slope: u, m, any shape that broadcasts with ``level``.
+
+    Returns:
+        p, 1/m^2, in the common shape; zero outside the circle of a multiplicative road, and infinite on it for a shape below 1.
+
+    Raises:
+        ParameterError: a road without joint density: the slope of a first-order road is white noise, and level and slope of
+            a harmonic road lie on a curve.
+    """
+    road = make_road(road)
+    z, u = broadcast(level=number_array("level", level), slope=number_array("slope", slope))
+    if isinstance(road, GaussianRoad):
+        return np.exp(-(z * z + u * u) / (2 * road.variance)) / (2 * math.pi * road.variance)
+    if isinstance(road, MultiplicativeRoad):
+        peak = road.shape / (math.pi * road.level_bound**2)
+        return peak * _bounded_power(np.hypot(z, u) / road.level_bound, road.shape - 1)
+    cause = {
+        "first_order": "the slope of a first_order road is white noise",
+        "harmonic": "level and slope of a harmonic road lie on an ellipse",
+    }.get(road.kind, f"none is known for a {road.kind} road")
+    raise ParameterError(f"road must have a joint density of level and slope, as gaussian and multiplicative roads do: {cause}")
+
+
+def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike) -> FloatArray:
+    """Stationary density p(z) of the level.
+
+    Gaussian on first-order and Gaussian roads; proportional to (1 - z^2/r0^2)^(alpha - 1/2) on a multiplicative road, from (11)
+    of Wedig (2020) by integration over the slope; the arcsine law on a harmonic road, to which that tends for alpha -> 0.
+
+    Args:
+        road: any road.
+        level: z, m, any shape.
+
+    Returns:
+        p, 1/m, in the shape of ``level``; zero beyond the bound of the road, and infinite at it where the law is singular.
+    """
+    road = make_road(road)
+    z = number_array("level", level)
+    if isinstance(road, (FirstOrderRoad, GaussianRoad)):
+        return np.exp(-z * z / (2 * road.variance)) / math.sqrt(2 * math.pi * road.variance)
+    if isinstance(road, HarmonicRoad):
+        return _bounded_power(np.abs(z) / road.amplitude, -0.5) / (math.pi * road.amplitude)
+    if isinstance(road, MultiplicativeRoad):
+        from scipy.special import poch
+
+        peak = float(poch(road.shape + 0.5, 0.5)) / (math.sqrt(math.pi) * road.level_bound)
+        return peak * _bounded_power(np.abs(z) / road.level_bound, road.shape - 0.5)
+    raise ParameterError(f"road must be of a kind whose level has a known density, got a {road.kind} road")
+
+
+def spectral_density(road: str | Mapping[str, Any] | Road, frequency: npt.ArrayLike, *, speed: npt.ArrayLike) -> FloatArray:
+    """Spectral density S(w) of the level in time, at constant speed; (5) of Wedig (2020), and its second-order companion.
+
+    Two-sided in the angular frequency w: the integral of S over -inf < w < inf, divided by 2 pi, is the variance. A
+    multiplicative road has the spectrum of the Gaussian road with its variance, because its drift is linear.
+
+    Args:
+        road: a first-order, Gaussian or multiplicative road.
+        frequency: w, rad/s, any shape.
+        speed: v, m/s, any shape that broadcasts with ``frequency``.
+
+    Returns:
+        S, m^2 s, in the common shape.
+
+    Raises:
+        ParameterError: a harmonic road, whose spectrum is a pair of lines.
+    """
+    road = make_road(road)
+    w, v = broadcast(frequency=number_array("frequency", frequency), speed=positive_array("speed", speed))
+    turn = v * road.wavenumber
+    x = w / turn
+    if isinstance(road, FirstOrderRoad):
+        return 2 * road.variance / (turn * (1 + x * x))
+    if isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+        delta = road.bandwidth
+        return 4 * delta * road.variance / (turn * (((1 - x) * (1 + x)) ** 2 + (2 * delta * x) ** 2))
+    cause = "the spectrum of a harmonic road is a pair of lines" if road.kind == "harmonic" else f"got a {road.kind} road"
+    raise ParameterError(f"road must be first_order, gaussian or multiplicative: {cause}")
+
+
+def _bounded_power(radius: FloatArray, exponent: float) -> FloatArray:
+    """(1 - radius^2)^exponent inside the unit circle, its limit on it, and zero outside."""
+    inside = np.maximum((1 - radius) * (1 + radius), 0.0)
+    with np.errstate(divide="ignore"):
+        return np.where(radius <= 1, inside**exponent, 0.0)

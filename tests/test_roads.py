@@ -1,0 +1,174 @@
+"""The roads: parameters, exact laws, boundedness, and negative controls that must fail."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from roadgym import ROADS, GaussianRoad, HarmonicRoad, MultiplicativeRoad, ParameterError
+from roadgym import compiled as rows
+from roadgym.plant import Plant
+from roadgym.roads import make_road
+from roadgym.roads.multiplicative import CELLS, direction_quantiles
+from roadgym.task import make_task
+
+LANES = 1_000_000
+
+
+def road_lanes(road, *, number=LANES, level, slope, time, speed=1.0, **parameters):
+    """Level and slope, in standard deviations, of independent lanes that all start at one point, and the largest square radius."""
+    plant = Plant(make_task(road=road, speed=speed, **parameters), number)
+    everyone = np.ones(number, np.bool_)
+    plant.seed(np.arange(number, dtype=np.uint64), everyone)
+    plant.reset(plant.forced({}), everyone)
+    plant.set_row(rows.LEVEL, level)
+    plant.set_row(rows.SLOPE, slope)
+    actions = np.full(number, 0.5, np.float32)
+    largest = 0.0
+    for _ in range(round(time / plant.task.control_interval)):
+        plant.step(actions)
+        z, u = plant.row(rows.LEVEL).astype(float), plant.row(rows.SLOPE).astype(float)
+        largest = max(largest, float(np.max(z**2 + u**2)))
+    return z, u, largest
+
+
+def radial_test(z, u, shape):
+    """Kolmogorov-Smirnov test of r^2/r0^2 against its law, 1 - (1 - r^2/r0^2)^shape; (11)."""
+    square = (z**2 + u**2) / (2 * (shape + 1))
+    return stats.kstest(square, lambda x: 1 - np.clip(1 - x, 0, 1) ** shape)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("shape", [0.25, 0.5, 1.0, 2.0, 3.0, 10.0])
+def test_bounded_road_has_its_radial_law_and_stays_in_its_circle(shape):
+    bandwidth = 0.5
+    road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth, level_bound=0.9)
+    # ten times the time in which the road forgets, 1/(2 delta v Omega), at the largest substep that a task may have
+    z, u, largest = road_lanes(road, level=0.3, slope=-0.2, time=10 / (2 * bandwidth))
+    assert largest <= 2 * (shape + 1)
+    assert radial_test(z, u, shape).pvalue > 1e-3
+    assert abs(np.mean(z**2) - 1) < 5 * np.std(z**2) / np.sqrt(LANES)
+    assert abs(np.mean(u**2) - 1) < 5 * np.std(u**2) / np.sqrt(LANES)
+
+
+@pytest.mark.statistical
+def test_radial_law_holds_at_any_substep_but_a_coarse_euler_scheme_fails_it():
+    shape, bandwidth = 2.0, 0.5
+    road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth, level_bound=0.9)
+    z, u, _ = road_lanes(road, number=400_000, level=0.3, slope=-0.2, time=15, control_interval=0.5, substeps=1)
+    assert radial_test(z, u, shape).pvalue > 1e-3
+
+    # Euler and Maruyama with the same substep, brought back to the circle where it leaves it
+    generator = np.random.default_rng(3)
+    z, u = np.full(400_000, 0.3), np.full(400_000, -0.2)
+    square, h = 2 * (shape + 1), 0.5
+    for _ in range(30):
+        free = np.sqrt(np.maximum(1 - (z**2 + u**2) / square, 0))
+        noise = np.sqrt(4 * bandwidth * (shape + 1) / shape * h) * free * generator.standard_normal(z.size)
+        z, u = z + h * u, u - h * (2 * bandwidth * u + z) + noise
+        shrink = np.minimum(1, np.sqrt(square / (z**2 + u**2)))
+        z, u = z * shrink, u * shrink
+    assert radial_test(z, u, shape).pvalue < 1e-6
+
+
+@pytest.mark.parametrize("shape", [0.5, 0.51, 0.75, 1.0, 1.5, 2.0, 10.0, 1000.0])
+def test_table_of_directions_has_the_second_moment_of_its_law(shape):
+    quantiles = direction_quantiles(shape)
+    assert quantiles.shape == (CELLS + 1,)
+    assert np.all(np.diff(quantiles) >= 0)
+    assert quantiles[-1] <= 1
+    low, high = quantiles[:-1], quantiles[1:]
+    second = np.mean((low**2 + low * high + high**2) / 3)
+    assert second == pytest.approx(0.5 / shape, rel=1e-5)
+    # the fourth moment of a coordinate of a uniform direction, 3/(2 shape (2 shape + 2)), is what the chords may miss
+    fourth = np.mean(sum(low**k * high ** (4 - k) for k in range(5)) / 5)
+    assert fourth == pytest.approx(3 / (2 * shape * (2 * shape + 2)), rel=1e-2)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("name", list(ROADS))
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_every_road_starts_in_its_law_and_keeps_it_at_any_speed(name, speed):
+    number = 200_000
+    plant = Plant(make_task(road=name, speed=speed), number)
+    everyone = np.ones(number, np.bool_)
+    plant.seed(np.arange(number, dtype=np.uint64), everyone)
+    plant.reset(plant.forced({}), everyone)
+    law = {
+        "harmonic": stats.arcsine(-np.sqrt(2), 2 * np.sqrt(2)),
+        "first_order": stats.norm(),
+        "gaussian": stats.norm(),
+        "multiplicative": stats.beta(2.5, 2.5, -np.sqrt(6), 2 * np.sqrt(6)),  # (1 - z^2/r0^2)^(alpha - 1/2), alpha = 2
+    }[name]
+    for _ in range(2):
+        z = plant.row(rows.LEVEL).astype(float)
+        assert stats.kstest(z, law.cdf).pvalue > 1e-3
+        for _ in range(10):
+            plant.step(np.full(number, 0.5, np.float32))
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("shape", [0.3, 0.5, 2.0, None])
+def test_second_order_roads_have_the_exact_autocovariance(shape):
+    bandwidth, number = 0.3, 400_000
+    if shape is None:
+        road = GaussianRoad(bandwidth=bandwidth, noise_intensity=1.0)
+    else:
+        road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth, level_bound=1.0)
+        number = number if shape >= 0.5 else number // 4
+    plant = Plant(make_task(road=road, speed=1.0, control_interval=0.3, substeps=1), number)
+    everyone = np.ones(number, np.bool_)
+    plant.seed(np.arange(number, dtype=np.uint64), everyone)
+    plant.reset(plant.forced({}), everyone)
+    z0 = plant.row(rows.LEVEL).astype(float)
+    frequency = np.sqrt(1 - bandwidth**2)
+    for lag in range(1, 6):
+        plant.step(np.full(number, 0.5, np.float32))
+        angle = 0.3 * lag
+        exact = np.exp(-bandwidth * angle) * (np.cos(frequency * angle) + bandwidth / frequency * np.sin(frequency * angle))
+        products = z0 * plant.row(rows.LEVEL).astype(float)
+        assert abs(products.mean() - exact) < 4.5 * products.std() / np.sqrt(number)
+
+
+def test_variances_and_shape():
+    assert GaussianRoad(bandwidth=0.1, noise_intensity=0.2, wavenumber=2.0).variance == pytest.approx(0.04 / 0.8)
+    assert HarmonicRoad(amplitude=3.0).variance == pytest.approx(4.5)
+    road = MultiplicativeRoad.from_shape(shape=3.0, bandwidth=0.2, level_bound=0.9, wavenumber=1.7)
+    assert road.shape == pytest.approx(3.0)
+    assert road.variance == pytest.approx(0.81 / 8)
+    assert road.variance == pytest.approx(1 / (2 / 0.81 + 4 * 0.2 * 1.7 / road.noise_intensity**2))  # (12)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "multiplicative"])
+def test_another_bandwidth_keeps_variance_and_shape(name):
+    road = make_road(name)
+    other = road.with_bandwidth(0.37)
+    assert other.bandwidth == 0.37
+    assert other.variance == pytest.approx(road.variance)
+    if name == "multiplicative":
+        assert other.shape == road.shape
+
+
+@pytest.mark.parametrize("name", list(ROADS))
+def test_road_survives_being_a_mapping(name):
+    road = make_road(name)
+    assert road.kind == name
+    assert make_road(dataclasses.asdict(road)) == road
+
+
+@pytest.mark.parametrize(
+    ("road", "message"),
+    [
+        ("cobblestones", "unknown road 'cobblestones'; known: harmonic, first_order, gaussian, multiplicative"),
+        ({"kind": "gaussian", "bandwith": 0.1}, "unknown parameter 'bandwith' of road 'gaussian'"),
+        ({"kind": "gaussian", "bandwidth": -0.1}, "bandwidth must be positive, got -0.1"),
+        ({"kind": "multiplicative", "level_bound": float("nan")}, "level_bound must be finite, got nan"),
+        ({"kind": "harmonic", "amplitude": "high"}, "amplitude must be a number, got 'high'"),
+        ({"kind": "harmonic", "wavenumber": 0}, "wavenumber must be positive, got 0"),
+        (3, "road must be a name, a mapping or a Road, got 3"),
+    ],
+)
+def test_bad_roads_are_refused_by_name(road, message):
+    with pytest.raises(ParameterError, match=message.replace("(", r"\(").replace(")", r"\)")):
+        make_road(road)
