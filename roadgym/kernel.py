@@ -294,12 +294,42 @@ def observe_block(lanes: Any, scratch: Any, signals: Any, saturation: Any, obser
         scratch[SIGNAL + 6 * LANES + i] = clip(-two * scratch[DAMPING + i] * relative - travel, low, high)
         scratch[SIGNAL + 7 * LANES + i] = lanes[SPEED + i] / (one + lanes[SPEED + i])
         scratch[SIGNAL + 8 * LANES + i] = two * lanes[BANDWIDTH + i] / (one + two * lanes[BANDWIDTH + i])
-    width = signals.size
-    flat = observations.reshape(-1)[first * width : (first + count) * width]
-    for j in range(width):
-        row = SIGNAL + signals[j] * LANES
-        for i in range(count):
-            flat[i * width + j] = scratch[row + i]
+    flat = observations.reshape(-1)[first * signals.size : (first + count) * signals.size]
+    width, lanes_here = np.uint64(signals.size), np.uint64(count)
+    for j in range(signals.size):
+        row, place = np.uint64(SIGNAL + signals[j] * LANES), np.uint64(j)
+        for i in range(lanes_here):
+            flat[place] = scratch[row + i]
+            place += width
+
+
+@compiled
+def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count: int) -> None:
+    """Copy a row of a block into a row of the results."""
+    target = results[row, first : first + count]
+    values = source[offset : offset + count]
+    for i in range(count):
+        target[i] = values[i]
+
+
+@compiled
+def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results: Any, first: int, count: int) -> None:
+    """Write reward, mean squares, damping and operating point of the finished interval."""
+    reward = results[REWARD, first : first + count]
+    reward[:] = like(lanes, 0.0)
+    for k in range(5):
+        copy_row(scratch, SQUARE + k * LANES, results, RESULT_SQUARE + k, first, count)
+        weight = like(lanes, numbers[WEIGHT + k])
+        if weight != 0.0:  # a weight of zero takes no part: its mean square may be meaningless on this road
+            squares = results[RESULT_SQUARE + k, first : first + count]
+            for i in range(count):
+                reward[i] -= weight * squares[i]
+    if integers[HAS_SLOPE] == 0:
+        results[RESULT_SQUARE + 2, first : first + count] = np.inf
+        results[RESULT_SQUARE + 4, first : first + count] = np.inf
+    copy_row(scratch, DAMPING, results, RESULT_DAMPING, first, count)
+    copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
+    copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
 
 
 @compiled
@@ -326,77 +356,47 @@ def step_blocks(
     due = np.zeros(LANES, np.bool_)
     nothing_forced = np.empty((2, 0))
     low, high = like(state, numbers[DAMPING_LOW]), like(state, numbers[DAMPING_HIGH])
-    divergent = like(state, np.inf)
-    zero = like(state, 0.0)
-    limit = integers[MAX_EPISODE_STEPS]
-    total = actions.size
+    limit, mode = integers[MAX_EPISODE_STEPS], integers[AUTORESET]
+    scratch[DAMPING : DAMPING + LANES] = low
     for b in range(begin, end):
         lanes = state[b * SIZE : (b + 1) * SIZE]
         counts = counters[b * COUNTERS : (b + 1) * COUNTERS]
         first = b * LANES
-        count = min(LANES, total - first)
-        for i in range(LANES):
-            scratch[DAMPING + i] = clip(like(state, actions[first + i]), low, high) if i < count else low
-        drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, INTERVAL)
-
-        any_due = False
+        count = min(LANES, actions.size - first)
         for i in range(count):
-            reward = zero
-            for k in range(5):
-                # a weight of zero takes no part: its mean square may be meaningless on this road
-                if numbers[WEIGHT + k] != 0.0:
-                    reward -= like(state, numbers[WEIGHT + k]) * scratch[SQUARE + k * LANES + i]
-                results[RESULT_SQUARE + k, first + i] = scratch[SQUARE + k * LANES + i]
-            if integers[HAS_SLOPE] == 0:
-                results[RESULT_SQUARE + 2, first + i] = divergent
-                results[RESULT_SQUARE + 4, first + i] = divergent
-            results[REWARD, first + i] = reward
-            results[RESULT_DAMPING, first + i] = scratch[DAMPING + i]
-            step = counts[STEP + i] + np.uint32(1)
-            counts[STEP + i] = step
-            over = limit > 0 and step >= limit
+            scratch[DAMPING + i] = clip(like(state, actions[first + i]), low, high)
+        drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, INTERVAL)
+        report_block(lanes, scratch, integers, numbers, results, first, count)
+
+        ended, pending = 0, 0
+        for i in range(count):
+            counts[STEP + i] += np.uint32(1)
+            over = limit > 0 and counts[STEP + i] >= limit
             truncated[first + i] = over
-            due[i] = False
-            if integers[AUTORESET] == SAME_STEP:
-                due[i] = over
-            elif integers[AUTORESET] == NEXT_STEP:
-                if counts[PENDING + i] != 0:
-                    # this step is the reset: the plant moved, but what it did is thrown away
-                    due[i] = True
-                    truncated[first + i] = False
-                    results[REWARD, first + i] = zero
-                    for k in range(5):
-                        results[RESULT_SQUARE + k, first + i] = zero
-                elif over:
-                    counts[PENDING + i] = np.uint32(1)
-            any_due = any_due or due[i]
-        if any_due:
-            if integers[AUTORESET] == SAME_STEP:
-                observe_block(lanes, scratch, signals, numbers[SATURATION], final_observations, first, count)
-            # the operating point of the finished step is what its results report
+            ended += over
+            pending += counts[PENDING + i]
+        if pending:  # these lanes moved, but what they did is thrown away: for them this step is the reset
             for i in range(count):
-                results[RESULT_SPEED, first + i] = lanes[SPEED + i]
-                results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
+                due[i] = counts[PENDING + i] != 0
+                if due[i]:
+                    ended -= truncated[first + i]
+                    truncated[first + i] = False
+                    for row in range(RESULT_DAMPING):
+                        results[row, first + i] = 0.0
+        elif mode == SAME_STEP and ended:
+            for i in range(count):
+                due[i] = truncated[first + i]
+            observe_block(lanes, scratch, signals, numbers[SATURATION], final_observations, first, count)
+        if pending or (mode == SAME_STEP and ended):
             restart_due(
-                lanes,
-                counts,
-                due,
-                scratch,
-                words,
-                road_table,
-                speed_table,
-                integers,
-                numbers,
-                nothing_forced,
-                first,
+                lanes, counts, due, scratch, words, road_table, speed_table, integers, numbers, nothing_forced, first
             )
             for i in range(count):
-                # a new episode has no action yet; its first observation is that of the softest damper, as after `reset`
-                scratch[DAMPING + i] = low if due[i] else results[RESULT_DAMPING, first + i]
-        else:
+                # a new episode has no action yet: its first observation is that of the softest damper, as after `reset`
+                scratch[DAMPING + i] = low if due[i] else clip(like(state, actions[first + i]), low, high)
+        if mode == NEXT_STEP and ended:
             for i in range(count):
-                results[RESULT_SPEED, first + i] = lanes[SPEED + i]
-                results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
+                counts[PENDING + i] = truncated[first + i]
         observe_block(lanes, scratch, signals, numbers[SATURATION], observations, first, count)
 
 
