@@ -31,7 +31,7 @@ _HOME = {
     "make_controller": "controllers",
     "train": "training",
 }
-__all__ = sorted(_HOME)  # noqa: PLE0605
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:

@@ -85,7 +85,9 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("training")
     group.add_argument("--algorithm", default="ppo", help="learning algorithm (%(default)s)")
     group.add_argument("--hyperparameters", metavar="FILE", help="YAML file of hyperparameters")
-    group.add_argument("--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps")
+    group.add_argument(
+        "--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps"
+    )
     group.add_argument("--checkpoint-interval", type=int, default=100_000, help="timesteps between checkpoints (%(default)s)")
     group.add_argument("--seed", type=int, default=0, help="seed of training and of the evaluation's roads (%(default)s)")
 
@@ -208,13 +210,14 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
 
     from .comparison import with_error
     from .controllers import make_controller
-    from .evaluation import evaluate
+    from .evaluation import Predictor, evaluate
     from .progress import evaluation_progress
     from .training import load
 
     if chosen.agent:
         agent = load(chosen.agent)
-        environment, controller, name = agent.description["environment"], agent, chosen.agent
+        controller: Predictor = agent
+        environment, name = agent.description["environment"], chosen.agent
         _refuse_environment(chosen)
     else:
         environment = environment_from(chosen)

@@ -87,7 +87,7 @@ def constant_damping(task: Task, controller: str, point: OperatingPoint) -> floa
     if controller == "d_max":
         return task.damping_range[1]
     if controller == "analytic_optimum":
-        return optimum(task, point.speed, point.bandwidth).damping
+        return float(optimum(task, point.speed, point.bandwidth).damping)
     return None
 
 
@@ -161,7 +161,7 @@ def compare(
         "seed": seed,
         "agent": None if description is None else plain(description),
         "versions": versions(),
-        "written": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "written": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
     return Comparison(make_rows(task, evaluations), task, configuration)
 
@@ -218,9 +218,7 @@ def table(comparison: Comparison) -> str:
             text.append("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
         if number == 1:
             text.append("-" * len(text[-1]))
-    weights = " + ".join(
-        (f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items()
-    )
+    weights = " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
     text.append("")
     text.append(f"cost: mean square of {weights} over E Z^2, with the standard error of the last digits in brackets;")
     text.append(f"gain: share of the cost of the best constant D that the agent saves; D within [{low:g}, {high:g}].")

@@ -1,7 +1,7 @@
 """Controllers: all answer observations with damping ratios through ``predict``, as stable-baselines3's models do.
 
-``predict(observation, state=None, episode_start=None, deterministic=False)`` returns (D, state), D of shape (n, 1), float32, for
-observations of shape (n, signals); one observation of shape (signals,) gives D of shape (1,). Unlike a bare model's action,
+``predict(observation, state=None, episode_start=None, deterministic=True)`` returns (D, state), D of shape (n, 1), float32,
+for observations of shape (n, signals); one observation of shape (signals,) gives D of shape (1,). Unlike a bare model's action,
 which lies in [-1, 1], D is what the environment takes.
 """
 
@@ -36,7 +36,7 @@ class Controller(abc.ABC):
         for name in self.needs:
             if name not in task.signals:
                 raise ParameterError(
-                    f"{type(self).__name__} needs the signal {name!r}, which the task does not observe: {', '.join(task.signals)}"
+                    f"{type(self).__name__} needs the signal {name!r}; the task observes {', '.join(task.signals)}"
                 )
         self.task = task
 
@@ -93,20 +93,21 @@ class AnalyticOptimum(Controller):
     def __init__(self, task: Task) -> None:
         super().__init__(task)
         self._known: dict[tuple[float, float], float] = {}
-        self._last: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] = np.empty((2, 0)), np.empty(0)
+        self._asked, self._answer = np.empty((2, 0)), np.empty(0)
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """The optimum, found once for each distinct operating point."""
         speed = observed_speed(signals, self.task)
         bandwidth = observed_bandwidth(signals) if "bandwidth" in signals else np.zeros(len(speed))
         asked = np.stack([speed, bandwidth])
-        if not np.array_equal(asked, self._last[0]):  # within an episode the operating point stays
-            self._last = asked, np.array([self._optimum(v, b) for v, b in asked.T.tolist()])
-        return self._last[1]
+        if not np.array_equal(asked, self._asked):  # within an episode the operating point stays
+            self._asked = asked
+            self._answer = np.array([self._optimum(v, b) for v, b in asked.T.tolist()])
+        return self._answer
 
     def _optimum(self, speed: float, bandwidth: float) -> float:
         if (speed, bandwidth) not in self._known:
-            self._known[speed, bandwidth] = optimum(self.task, speed, bandwidth).damping
+            self._known[speed, bandwidth] = float(optimum(self.task, speed, bandwidth).damping)
         return self._known[speed, bandwidth]
 
 

@@ -126,13 +126,23 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> None:
             axis = axes[row, column]
             width, height = (np.quantile(np.abs(v), 0.995) for v in (x, y))
             mesh = axis.hexbin(
-                x, y, values, gridsize=28, extent=(-width, width, -height, height), vmin=low, vmax=high, cmap="cividis", mincnt=3
+                x,
+                y,
+                values,
+                gridsize=28,
+                extent=(-width, width, -height, height),
+                vmin=low,
+                vmax=high,
+                cmap="cividis",
+                mincnt=3,
             )
             axis.set_xlim(-width, width)
             axis.set_ylim(-height, height)
             axis.axhline(0, color="white", linewidth=0.8)
             axis.axvline(0, color="white", linewidth=0.8)
-        axes[0, column].set_title(f"$\\nu = {task.frequency_ratio(speed):g}$" + (f", $\\delta = {bandwidth:g}$" if bandwidth else ""))
+        axes[0, column].set_title(
+            f"$\\nu = {task.frequency_ratio(speed):g}$" + (f", $\\delta = {bandwidth:g}$" if bandwidth else "")
+        )
         axes[0, column].set_xlabel("body velocity $\\dot Y/(\\omega_1 \\sigma_Z)$")
         axes[1, column].set_xlabel("displacement $Y/\\sigma_Z$")
     axes[0, 0].set_ylabel("relative velocity $(\\dot Y - \\dot Z)/(\\omega_1 \\sigma_Z)$")

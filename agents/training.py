@@ -132,7 +132,7 @@ def make_model(
 ) -> BaseAlgorithm:
     """A new model on its own environments."""
     parameters = dict(hyperparameters)
-    envs = make_envs(parameters, environment, seed)
+    envs = make_envs(parameters, environment)
     for name in ("n_envs", "n_timesteps", "normalize", "features"):
         parameters.pop(name, None)
     policy = parameters.pop("policy", "MlpPolicy")
@@ -169,7 +169,7 @@ def stream_seed(*entropy: int) -> int:
     return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any], seed: int) -> VecNormalize:
+def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]) -> VecNormalize:
     """The training environments, with rewards scaled by their running spread if the hyperparameters ask for it."""
     envs = QuarterCarVecEnv(
         whole("n_envs", hyperparameters.get("n_envs", 1)), environment=environment, features=hyperparameters.get("features")
@@ -178,7 +178,11 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
     if options.pop("norm_obs", False):
         raise ParameterError("norm_obs must be false: the environment scales its observations")
     return VecNormalize(
-        envs, norm_obs=False, norm_reward=bool(options.pop("norm_reward", False)), gamma=hyperparameters.get("gamma", 0.99), **options
+        envs,
+        norm_obs=False,
+        norm_reward=bool(options.pop("norm_reward", False)),
+        gamma=hyperparameters.get("gamma", 0.99),
+        **options,
     )
 
 
@@ -284,7 +288,7 @@ def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> Non
     envs = model.get_vec_normalize_env()
     spread = None if envs is None else {key: float(getattr(envs.ret_rms, key)) for key in ("mean", "var", "count")}
     content = {**description, "model": name, "timesteps": model.num_timesteps, "reward_statistics": spread}
-    content["saved"] = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
+    content["saved"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     write_atomically(folder / DESCRIPTION, json.dumps(content, indent=2) + "\n")
     for old in folder.glob("model-*.zip"):
         if old.name != name:
@@ -318,8 +322,8 @@ def train(
         seed: fixes roads, weights and exploration; not negative.
         timesteps: control intervals to train for in all, over every environment; by default the hyperparameters' n_timesteps.
         checkpoint_interval: timesteps between checkpoints.
-        resume: go on with the agent in ``folder``, whose algorithm, environment, hyperparameters and seed then hold. The noise of
-            the second part is new, so the result differs from that of one unbroken run, but repeats.
+        resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold. The noise of the
+            second part is new, so the result differs from that of one unbroken run, but repeats.
         tensorboard: write logs for TensorBoard under ``folder``.
         report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``.
 
@@ -356,7 +360,7 @@ def train(
 
     if resume:
         load(path)  # a damaged model is reported as such
-        envs = make_envs(hyperparameters, environment, seed)
+        envs = make_envs(hyperparameters, environment)
         for key, value in (description["reward_statistics"] or {}).items():
             setattr(envs.ret_rms, key, value)
         model = ALGORITHMS[algorithm].load(

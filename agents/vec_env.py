@@ -62,7 +62,7 @@ class QuarterCarVecEnv(VecEnv):
         self.render_mode = None
         action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
         self.features = None if features is None else Features(self.task.signals, features)
-        super().__init__(num_envs, observation_space(self.envs.single_observation_space, self.features), action_space)
+        super().__init__(num_envs, observation_space(self.task.observation_space, self.features), action_space)
         self._actions = np.zeros((num_envs, 1), np.float32)
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)

@@ -134,8 +134,8 @@ def _low_pass(
     With G the generator of the hierarchy, R(tau) = <0|exp(-G tau)|0>, the average <s^m/N> is minus the factor of A in
     T_m = <0|G^m (A + G)^(-1)|0>. With d_n = X_n ... X_0, T_0 = d_0 and T_1 = i nu d_0 + v d_1. For T_3 the identity
     d_(n-1) = (A + i nu + n w_g) d_n + (n + 1) v d_(n+1) takes out terms in w_g^2 that cancel if the noise is fast. Then
-    P_0 = Re <(2 D + s)/N>/2D, P_1 = Re <s/N>/2D and P_2 = -Re <s^3/N>/2D. For P_3 = Re <s^5/N>/2D the product A^2 T_3 stands for
-    T_5: they differ by derivatives of R at 0+, which are no part of the mean square.
+    P_0 = Re <(2 D + s)/N>/2D, P_1 = Re <s/N>/2D and P_2 = -Re <s^3/N>/2D. For P_3 = Re <s^5/N>/2D the product A^2 T_3 stands
+    for T_5: they differ by derivatives of R at 0+, which are no part of the mean square.
     """
     corner = speed_noise.corner_frequency / natural_frequency
     variance = speed_noise.intensity**2 / (2 * natural_frequency) * corner
@@ -183,6 +183,6 @@ def _levels(damping: FloatArray, corner: float, variance: float) -> int:
     levels = 24 + math.ceil(1.1 * min((18 * spread / slowest) ** 2, float((54 * spread / corner) ** (2 / 3))))
     if levels > MOST_LEVELS:
         raise ParameterError(
-            f"low_pass speed_noise must be weaker or faster at damping {np.min(damping):g}: its series would take {levels} terms"
+            f"low_pass speed_noise must be weaker or faster at damping {np.min(damping):g}: its series needs {levels} terms"
         )
     return levels

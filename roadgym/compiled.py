@@ -51,7 +51,7 @@ compiled: Callable[[Callable[..., Any]], Any] = njit(nogil=True, **_OPTIONS)
 inlined: Callable[[Callable[..., Any]], Any] = njit(inline="always", **_OPTIONS)  # where a call would stop vectorisation
 
 
-def like(reference: Any, value: float) -> Any:
+def like(reference: Any, value: Any) -> Any:
     """``value`` in the precision of ``reference`` (a block or a pointer to one), so that literals widen nothing."""
     return reference.dtype.type(value)
 
@@ -62,8 +62,7 @@ def _like(reference: Any, value: Any) -> Any:
     return lambda reference, value: real(value)
 
 
-@intrinsic
-def call(typing_context: Any, address: Any, lanes: Any, words: Any, table: Any) -> Any:
+def _call(typing_context: Any, address: Any, lanes: Any, words: Any, table: Any) -> Any:
     """Call the lane function at ``address`` with three addresses; all are unsigned integers."""
     signature = types.void(types.uintp, types.uintp, types.uintp, types.uintp)
 
@@ -75,6 +74,9 @@ def call(typing_context: Any, address: Any, lanes: Any, words: Any, table: Any) 
         return context.get_dummy_value()
 
     return signature, generate
+
+
+call: Any = intrinsic(_call)
 
 
 class LaneFunction:
@@ -95,5 +97,8 @@ class LaneFunction:
         if key not in self._compiled:
             number = types.CPointer(from_dtype(key))
             signature = types.void(number, types.CPointer(types.uint32), number)
-            self._compiled[key] = cfunc(signature, **_OPTIONS)(self.function)
+            try:
+                self._compiled[key] = cfunc(signature, **_OPTIONS)(self.function)
+            except RuntimeError:  # a function typed in at a prompt has no file to keep a cache beside
+                self._compiled[key] = cfunc(signature, **{**_OPTIONS, "cache": False})(self.function)
         return int(self._compiled[key].address)

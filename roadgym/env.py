@@ -116,9 +116,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         observations, results = self._plant.reset(forced, self._mask)
         return observations[0], self._operating_point(results[:, 0].tolist())
 
-    def step(
-        self, action: npt.NDArray[np.float32]
-    ) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""
         if not self._plant.started:
             raise ResetNeeded("call reset before step")

@@ -388,9 +388,7 @@ def step_blocks(
                 due[i] = truncated[first + i]
             observe_block(lanes, scratch, signals, numbers[SATURATION], final_observations, first, count)
         if pending or (mode == SAME_STEP and ended):
-            restart_due(
-                lanes, counts, due, scratch, words, road_table, speed_table, integers, numbers, nothing_forced, first
-            )
+            restart_due(lanes, counts, due, scratch, words, road_table, speed_table, integers, numbers, nothing_forced, first)
             for i in range(count):
                 # a new episode has no action yet: its first observation is that of the softest damper, as after `reset`
                 scratch[DAMPING + i] = low if due[i] else clip(like(state, actions[first + i]), low, high)
@@ -429,9 +427,7 @@ def reset_blocks(
         for i in range(LANES):
             # lanes beyond the last environment follow the first one, so that they hold sound numbers
             due[i] = mask[first + i] if i < count else mask[first]
-        restart_due(
-            lanes, counts, due, scratch, words, road_table, speed_table, integers, numbers, forced, first
-        )
+        restart_due(lanes, counts, due, scratch, words, road_table, speed_table, integers, numbers, forced, first)
         for i in range(LANES):
             scratch[DAMPING + i] = numbers[DAMPING_LOW]
         observe_block(lanes, scratch, signals, numbers[SATURATION], observations, first, count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -117,7 +118,7 @@ class Plant:
             return
         edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
         pool = _pool(self.threads)
-        futures = [pool.submit(function, low, high, *arguments) for low, high in zip(edges[1:-1], edges[2:], strict=True)]
+        futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
         function(edges[0], edges[1], *arguments)
         for future in futures:
             future.result()
@@ -147,9 +148,7 @@ class Plant:
             try:
                 values = np.broadcast_to(np.asarray(value, float), self.num_envs)
             except (TypeError, ValueError):
-                raise ParameterError(
-                    f"option {name!r} must be a number or {self.num_envs} numbers, got {value!r}"
-                ) from None
+                raise ParameterError(f"option {name!r} must be a number or {self.num_envs} numbers, got {value!r}") from None
             if not np.all((values >= low) & (values <= high)):
                 raise ParameterError(f"option {name!r} must lie within [{low:g}, {high:g}], got {value!r}")
             forced[row] = self.task.frequency_ratio(values) if name == "speed" else values

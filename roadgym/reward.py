@@ -17,9 +17,7 @@ def divergent_terms(road: Road, speed_noise: SpeedNoise | None) -> tuple[str, ..
     return "acceleration", "relative_velocity"
 
 
-def check_weights(
-    weights: Mapping[str, float], road: Road, speed_noise: SpeedNoise | None = None
-) -> dict[str, float]:
+def check_weights(weights: Mapping[str, float], road: Road, speed_noise: SpeedNoise | None = None) -> dict[str, float]:
     """The weights of the reward by mean square, all five, zero where none was given.
 
     Raises:

@@ -60,13 +60,13 @@ class Task:
         return {name: weight for name, weight in zip(MEAN_SQUARES, self.weights, strict=True) if weight}
 
     @property
-    def action_space(self) -> spaces.Box:
+    def action_space(self) -> spaces.Box[np.float32]:
         """The damping ratio D, shape (1,), float32."""
         low, high = self.damping_range
         return spaces.Box(np.float32(low), np.float32(high), (1,), np.float32)
 
     @property
-    def observation_space(self) -> spaces.Box:
+    def observation_space(self) -> spaces.Box[np.float32]:
         """One number a signal, float32: ± SATURATION, and [0, 1] for the operating point."""
         high = [1.0 if name in OPERATING_POINT else SATURATION for name in self.signals]
         low = [0.0 if name in OPERATING_POINT else -SATURATION for name in self.signals]

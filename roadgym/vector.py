@@ -132,7 +132,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             seeds = np.array([(given or 0) % 2**64 for given in seed], np.uint64)
         self._plant.seed(seeds, mask)
 
-    def reset(  # type: ignore[override]
+    def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
         """Begin the next episode everywhere, or where the option "reset_mask" is true.
@@ -151,7 +151,9 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         observations, results = self._plant.reset(forced, mask)
         return observations, self._operating_point(results, mask.copy())
 
-    def step(self, actions: Floats) -> tuple[Floats, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+    def step(
+        self, actions: Floats
+    ) -> tuple[Floats, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
         """Drive one control interval with the damping ratios ``actions``, shape (num_envs, 1)."""
         if not self._plant.started:
             raise ResetNeeded("call reset before step")

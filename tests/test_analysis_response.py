@@ -52,7 +52,9 @@ def test_field_names_are_those_of_the_plant() -> None:
 # independent solvers
 
 
-@pytest.mark.parametrize("road", [GaussianRoad(bandwidth=0.3, noise_intensity=0.4, wavenumber=2.0), MultiplicativeRoad(wavenumber=0.5)])
+@pytest.mark.parametrize(
+    "road", [GaussianRoad(bandwidth=0.3, noise_intensity=0.4, wavenumber=2.0), MultiplicativeRoad(wavenumber=0.5)]
+)
 @pytest.mark.parametrize("damping", [0.02, 0.7, 1.0, 3.0])
 @pytest.mark.parametrize("speed", [0.2, 1.3, 6.0])
 def test_second_order_road_against_a_lyapunov_equation(road, damping: float, speed: float) -> None:
@@ -141,15 +143,18 @@ def test_harmonic_road_against_a_phasor() -> None:
 
 def reference(noise, damping: float, speed: float) -> list[float]:
     """Mean squares over the variance, by the series in sigma^2/2 + n w_g and n w_g, with as many digits as it loses."""
-    with mpmath.workdps(15):
-        kappa = 0.0 if isinstance(noise, WhiteSpeedNoise) else noise.intensity**2 / 2 / noise.corner_frequency
-    with mpmath.workdps(60 + int(2 * kappa / math.log(10))):
+    white = isinstance(noise, WhiteSpeedNoise)
+    loss = (
+        0
+        if isinstance(noise, (WhiteSpeedNoise, HighPassSpeedNoise))
+        else int(noise.intensity**2 / noise.corner_frequency / 2.3)
+    )
+    with mpmath.workdps(60 + loss):
         D, nu, strength = mpmath.mpf(damping), mpmath.mpf(speed), mpmath.mpf(noise.intensity) ** 2 / 2
-        corner = mpmath.mpf(1) if isinstance(noise, WhiteSpeedNoise) else mpmath.mpf(noise.corner_frequency)
-        start, kappa = (0, strength / corner) if isinstance(noise, HighPassSpeedNoise) else (strength, -strength / corner)
+        corner = mpmath.mpf(1 if white else noise.corner_frequency)
+        kappa = 0 if white else strength / corner if isinstance(noise, HighPassSpeedNoise) else -strength / corner
+        start = 0 if isinstance(noise, HighPassSpeedNoise) else strength
         term, total, n = mpmath.exp(-kappa), [mpmath.mpf(0)] * 5, 0
-        if isinstance(noise, WhiteSpeedNoise):
-            term, kappa = mpmath.mpf(1), mpmath.mpf(0)
         while True:
             s = mpmath.mpc(start + n * corner, nu)
             q = 2 * D * (1 + 2 * D * s + s * s)
@@ -170,11 +175,10 @@ def reference(noise, damping: float, speed: float) -> list[float]:
 CORNERS = [(D, nu) for D in (0.005, 0.1, 1.0, 5.0) for nu in (0.0, 1e-3, 1.0, 10.0)]
 
 
-@pytest.mark.parametrize("corner", [1e-3, 0.08, 1.0, 1e3])
 @pytest.mark.parametrize("intensity", [1e-3, 0.2, 3.0])
+@pytest.mark.parametrize("corner", [1e-3, 0.1, 1.0, 1e3])
 def test_low_pass_noise_to_ten_digits(intensity: float, corner: float) -> None:
-    if intensity**2 / corner > 150:
-        pytest.skip("thousands of digits: see the next test")
+    intensity = min(intensity, 12 * math.sqrt(corner))  # stronger noise would take thousands of digits: see the next test
     noise = LowPassSpeedNoise(intensity=intensity, corner_frequency=corner)
     for damping, speed in CORNERS:
         got = vector(analysis.mean_squares(HarmonicRoad(), noise, damping=damping, speed=speed)) * 2
@@ -207,7 +211,9 @@ def average(noise: LowPassSpeedNoise, numerator: list, damping: float, speed: fl
 
     root = mpmath.sqrt(mpmath.mpc(D * D - 1))
     first, second = D + root, D - root
-    fraction = ((rest[0] - rest[1] * first) * laplace(first) - (rest[0] - rest[1] * second) * laplace(second)) / (second - first)
+    fraction = ((rest[0] - rest[1] * first) * laplace(first) - (rest[0] - rest[1] * second) * laplace(second)) / (
+        second - first
+    )
     variance = strength * corner
     derivatives = [1, 1j * nu, -(nu**2) - variance, -1j * nu**3 - 3j * nu * variance - variance * corner]
     return fraction + sum(c * d for c, d in zip(polynomial, derivatives, strict=False))
@@ -215,13 +221,11 @@ def average(noise: LowPassSpeedNoise, numerator: list, damping: float, speed: fl
 
 @pytest.mark.parametrize("damping", [0.005, 0.6, 5.0])
 @pytest.mark.parametrize("speed", [0.0, 0.9, 10.0])
-@pytest.mark.parametrize(("intensity", "corner"), [(3.0, 1e-3), (1.0, 1e-3), (3.0, 0.02), (3.0, 1e-6)])
+@pytest.mark.parametrize(("intensity", "corner"), [(3.0, 1e-3), (1.0, 1e-3), (3.0, 0.02), (0.2, 1e-6)])
 def test_strong_and_slow_low_pass_noise_to_ten_digits(intensity: float, corner: float, damping: float, speed: float) -> None:
     noise = LowPassSpeedNoise(intensity=intensity, corner_frequency=corner)
-    D = damping
-    if corner < 1e-5 and D > 0.1:
-        pytest.skip("one is enough")
     with mpmath.workdps(60):
+        D = mpmath.mpf(damping)
         numerators = [
             [2 * D, 1 + 4 * D**2],
             [0, 1 + 4 * D**2, 8 * D**3],
@@ -229,15 +233,7 @@ def test_strong_and_slow_low_pass_noise_to_ten_digits(intensity: float, corner: 
             [0, 1, 2 * D],
             [0, 1 - 4 * D**2, 2 * D - 8 * D**3, -4 * D**2, -2 * D],
         ]
-        exact = mpmath.mpf(D)
-        numerators = [
-            [2 * exact, 1 + 4 * exact**2],
-            [0, 1 + 4 * exact**2, 8 * exact**3],
-            [0, 1 + 4 * exact**2 - 16 * exact**4, 2 * exact + 8 * exact**3 - 32 * exact**5, -16 * exact**4, -8 * exact**3],
-            [0, 1, 2 * exact],
-            [0, 1 - 4 * exact**2, 2 * exact - 8 * exact**3, -4 * exact**2, -2 * exact],
-        ]
-        expected = [float((average(noise, numerator, D, speed) / (2 * exact)).real) for numerator in numerators]
+        expected = [float((average(noise, numerator, damping, speed) / (2 * D)).real) for numerator in numerators]
     got = vector(analysis.mean_squares(HarmonicRoad(), noise, damping=damping, speed=speed)) * 2
     np.testing.assert_allclose(got, expected, rtol=1e-10)
 
@@ -257,7 +253,7 @@ def test_strong_and_slow_low_pass_noise_to_ten_digits(intensity: float, corner: 
     ],
 )
 def test_white_and_high_pass_noise_to_ten_digits(noise) -> None:
-    for damping, speed in CORNERS:
+    for damping, speed in CORNERS[::3]:
         got = vector(analysis.mean_squares(HarmonicRoad(), noise, damping=damping, speed=speed)) * 2
         expected = reference(noise, damping, speed)
         expected[2] = expected[4] = math.inf
@@ -320,9 +316,7 @@ def test_only_ratios_of_frequencies_count_under_noise(kind, damping, speed, scal
 
     one = vector(analysis.mean_squares(HarmonicRoad(), noise(1.0), damping=damping, speed=speed))
     road = HarmonicRoad(wavenumber=2.0)
-    other = vector(
-        analysis.mean_squares(road, noise(scale), damping=damping, speed=speed * scale / 2, natural_frequency=scale)
-    )
+    other = vector(analysis.mean_squares(road, noise(scale), damping=damping, speed=speed * scale / 2, natural_frequency=scale))
     np.testing.assert_allclose(other, one, rtol=1e-9)
 
 
@@ -346,9 +340,7 @@ def test_limits_of_filtered_noise(damping: float, speed: float, intensity: float
 def test_critical_damping_is_no_special_point(speed: float, corner: float, intensity: float) -> None:
     noise = LowPassSpeedNoise(intensity=intensity, corner_frequency=corner)
     step = 1e-9
-    below, at, above = vector(
-        analysis.mean_squares(HarmonicRoad(), noise, damping=[1 - step, 1, 1 + step], speed=speed)
-    ).T
+    below, at, above = vector(analysis.mean_squares(HarmonicRoad(), noise, damping=[1 - step, 1, 1 + step], speed=speed)).T
     np.testing.assert_allclose(below, at, rtol=2e-7)
     np.testing.assert_allclose(above, at, rtol=2e-7)
     np.testing.assert_allclose((below + above) / 2, at, rtol=1e-10)
@@ -371,7 +363,7 @@ def test_covariance_agrees_with_the_closed_forms(damping: float, speed: float, b
 @pytest.mark.parametrize("noise", [None, WhiteSpeedNoise(), LowPassSpeedNoise(), HighPassSpeedNoise()])
 def test_what_diverges_is_what_the_reward_says(road, noise) -> None:
     if noise is not None and road.kind != "harmonic":
-        with pytest.raises(ParameterError, match="speed noise is defined on the harmonic road only|speed_noise must be None"):
+        with pytest.raises(ParameterError, match=r"speed noise is defined on the harmonic road only|speed_noise must be None"):
             analysis.mean_squares(road, noise, damping=0.2, speed=1.0)
         return
     result = dataclasses.asdict(analysis.mean_squares(road, noise, damping=0.2, speed=1.0))
@@ -407,10 +399,22 @@ def test_shapes_broadcast() -> None:
         (lambda: analysis.mean_squares("gaussian", damping=0.1, speed=-1), r"speed must be zero or above, got -1\.0"),
         (lambda: analysis.mean_squares("gaussian", damping=0.1, speed=math.inf), "speed must be finite, got inf"),
         (lambda: analysis.mean_squares("gaussian", damping=[0.1] * 2, speed=[1.0] * 3), r"damping \(2,\), speed \(3,\)"),
-        (lambda: analysis.mean_squares("gaussian", damping=0.1, speed=1.0, natural_frequency=0), "natural_frequency must be positive"),
-        (lambda: analysis.mean_squares("gaussian", damping=0.1, speed=1.0, bandwidth=0), r"bandwidth must be positive, got 0\.0"),
-        (lambda: analysis.mean_squares("harmonic", damping=0.1, speed=1.0, bandwidth=0.1), "bandwidth must be None: a harmonic road"),
-        (lambda: analysis.mean_squares("gaussian", "low_pass", damping=0.1, speed=1.0), "speed_noise must be None on a gaussian road"),
+        (
+            lambda: analysis.mean_squares("gaussian", damping=0.1, speed=1.0, natural_frequency=0),
+            "natural_frequency must be positive",
+        ),
+        (
+            lambda: analysis.mean_squares("gaussian", damping=0.1, speed=1.0, bandwidth=0),
+            r"bandwidth must be positive, got 0\.0",
+        ),
+        (
+            lambda: analysis.mean_squares("harmonic", damping=0.1, speed=1.0, bandwidth=0.1),
+            "bandwidth must be None: a harmonic road",
+        ),
+        (
+            lambda: analysis.mean_squares("gaussian", "low_pass", damping=0.1, speed=1.0),
+            "speed_noise must be None on a gaussian road",
+        ),
         (lambda: analysis.mean_squares("gaussian", "white", damping=0.1, speed=1.0), "harmonic road only"),
         (lambda: analysis.mean_squares("harmonic", "pink", damping=0.1, speed=1.0), "unknown speed noise 'pink'"),
         (lambda: analysis.covariance("harmonic", damping=0.1, speed=1.0), "road must be gaussian or multiplicative"),

@@ -14,7 +14,10 @@ ROADS = {
     "harmonic": HarmonicRoad(amplitude=0.7),
     "first_order": FirstOrderRoad(noise_intensity=0.3, wavenumber=2.0),
     "gaussian": GaussianRoad(bandwidth=0.4, noise_intensity=0.3, wavenumber=2.0),
-    **{f"multiplicative_{shape:g}": MultiplicativeRoad.from_shape(shape=shape, level_bound=0.9) for shape in (0.3, 0.5, 1, 3, 40)},
+    **{
+        f"multiplicative_{shape:g}": MultiplicativeRoad.from_shape(shape=shape, level_bound=0.9)
+        for shape in (0.3, 0.5, 1, 3, 40)
+    },
 }
 JOINT = {name: road for name, road in ROADS.items() if isinstance(road, GaussianRoad | MultiplicativeRoad)}
 
@@ -30,7 +33,9 @@ def test_marginal_density_has_unit_mass_and_the_road_variance(name: str) -> None
     # z = edge sin(angle) takes the edge singularity away
     for power, expected in ((0, 1.0), (1, 0.0), (2, road.variance)):
         value = quad(
-            lambda a, n=power: (edge * math.sin(a)) ** n * float(analysis.marginal_density(road, edge * math.sin(a))) * edge * math.cos(a),
+            lambda a, n=power: (
+                (edge * math.sin(a)) ** n * float(analysis.marginal_density(road, edge * math.sin(a))) * edge * math.cos(a)
+            ),
             -math.pi / 2 + 1e-9,
             math.pi / 2 - 1e-9,
             epsabs=1e-12,
@@ -85,7 +90,11 @@ def test_joint_density_has_unit_mass_and_solves_the_fokker_planck_equation(name:
 def test_density_at_and_beyond_the_bound() -> None:
     singular, uniform, smooth = (MultiplicativeRoad.from_shape(shape=shape) for shape in (0.5, 1, 3))
     assert analysis.density(singular, [1.0, 1.1], 0.0).tolist() == [math.inf, 0]
-    assert analysis.density(uniform, [[0.2], [1.0], [1.1]], [0.0, 0.0]).tolist() == [[1 / math.pi] * 2, [1 / math.pi] * 2, [0, 0]]
+    assert analysis.density(uniform, [[0.2], [1.0], [1.1]], [0.0, 0.0]).tolist() == [
+        [1 / math.pi] * 2,
+        [1 / math.pi] * 2,
+        [0, 0],
+    ]
     assert analysis.density(smooth, [1.0, 1.1], 0.0).tolist() == [0, 0]
     # alpha = 1/2: a uniform marginal, against the paper's remark that it is the sinusoid's
     np.testing.assert_allclose(analysis.marginal_density(singular, [-1.0, 0.1, 0.99, 1.01]), [0.5, 0.5, 0.5, 0])
@@ -98,9 +107,7 @@ def test_marginal_density_tends_to_the_arcsine_and_to_the_gaussian_law() -> None
     np.testing.assert_allclose(analysis.marginal_density(MultiplicativeRoad.from_shape(shape=1e-9), level), arcsine, rtol=1e-7)
     wide = MultiplicativeRoad.from_shape(shape=1e8, level_bound=1e4)
     gaussian = GaussianRoad(bandwidth=wide.bandwidth, noise_intensity=wide.noise_intensity)
-    np.testing.assert_allclose(
-        analysis.marginal_density(wide, level), analysis.marginal_density(gaussian, level), rtol=1e-7
-    )
+    np.testing.assert_allclose(analysis.marginal_density(wide, level), analysis.marginal_density(gaussian, level), rtol=1e-7)
     np.testing.assert_allclose(analysis.density(wide, level, 0.3), analysis.density(gaussian, level, 0.3), rtol=1e-7)
 
 

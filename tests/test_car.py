@@ -101,9 +101,7 @@ def test_both_second_order_roads_have_the_exact_conditional_mean(bandwidth, angl
     rotate = [np.array([[np.cos(t), np.sin(t)], [-np.sin(t), np.cos(t)]]) for t in (short, long)]
     kick = np.diag([1.0, keep])
     # what is left is rounding, which the arc cosine of nearly 1 lifts to about 1e-16/angle
-    np.testing.assert_allclose(
-        (rotate[0] @ kick @ rotate[1] + rotate[1] @ kick @ rotate[0]) / 2, exact, rtol=1e-9, atol=1e-11
-    )
+    np.testing.assert_allclose((rotate[0] @ kick @ rotate[1] + rotate[1] @ kick @ rotate[0]) / 2, exact, rtol=1e-9, atol=1e-11)
 
 
 def test_free_decay_is_the_matrix_exponential():

@@ -106,14 +106,17 @@ def test_another_process_drives_the_same_road():
 
 
 def test_importing_the_environment_loads_no_learning_library():
-    code = "import roadgym, roadgym.env, roadgym.vector, sys; print([m for m in ('torch', 'stable_baselines3', 'scipy.linalg', 'scipy.special', 'matplotlib', 'analysis', 'agents') if m in sys.modules])"
+    heavy = ("torch", "stable_baselines3", "scipy.linalg", "scipy.special", "matplotlib", "analysis", "agents")
+    code = f"import roadgym, roadgym.env, roadgym.vector, sys; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
 def test_foreign_packages_named_like_ours_do_no_harm(tmp_path):
     for name in ("analysis", "agents"):
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('a decoy was imported')\n")
-    code = "import gymnasium as g; e = g.make('roadgym:roadgym/QuarterCar-v0'); e.reset(seed=0); e.step(e.action_space.sample())"
+    code = (
+        "import gymnasium as g; e = g.make('roadgym:roadgym/QuarterCar-v0'); e.reset(seed=0); e.step(e.action_space.sample())"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
 
 
@@ -198,7 +201,7 @@ def test_observation_names_and_scale():
     assert env.signal_names == (*signals, "speed", "bandwidth")
     env.reset(seed=2)
     for _ in range(20):
-        observation, *_, info = env.step(np.array([0.3], np.float32))
+        observation, *_ = env.step(np.array([0.3], np.float32))
     value = dict(zip(env.signal_names, observation.astype(float), strict=True))
     assert value["travel"] == pytest.approx(value["displacement"] - value["level"], abs=1e-5)
     assert value["relative_velocity"] == pytest.approx(value["velocity"] - 2.0 * value["slope"], abs=1e-5)

@@ -68,7 +68,6 @@ def test_normals_reach_far_into_the_tails(normals):
 
 
 def test_normals_are_independent_across_environments_steps_and_words(normals):
-    n, steps, _ = normals.shape
     limit = 4 / np.sqrt(normals.size * 3 / 4)
     assert abs(np.mean(normals[1:] * normals[:-1])) < limit
     assert abs(np.mean(normals[:, 1:] * normals[:, :-1])) < limit

@@ -17,7 +17,7 @@ LANES = 1_000_000
 
 
 def road_lanes(road, *, number=LANES, level, slope, time, speed=1.0, **parameters):
-    """Level and slope, in standard deviations, of independent lanes that all start at one point, and the largest square radius."""
+    """Level and slope, in standard deviations, of lanes that all start at one point, and the largest square radius."""
     plant = Plant(make_task(road=road, speed=speed, **parameters), number)
     everyone = np.ones(number, np.bool_)
     plant.seed(np.arange(number, dtype=np.uint64), everyone)

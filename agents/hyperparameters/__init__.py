@@ -1,0 +1,1 @@
+"""Hyperparameters, one YAML file an algorithm."""

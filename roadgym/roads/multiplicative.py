@@ -101,13 +101,13 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
         # the top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in it
         word = words[i]
         cell = np.int64((word >> np.uint32(21)) & np.uint32(CELLS - 1))
-        place = like(lanes, np.float32(np.int32(word & np.uint32(0x1FFFFF)))) * fraction_unit
+        place = like(lanes, np.int32(word & np.uint32(0x1FFFFF))) * fraction_unit
         low, high = table[CURVE + cell], table[CURVE + cell + 1]
         lanes[LEVEL_EXCESS + i] = low + place * (high - low)
     for i in range(LANES):
         word = words[i]
         early = np.int32(word) < np.int32(0)
-        sign = like(lanes, np.float32(np.int32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1))))
+        sign = like(lanes, np.int32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1)))
         direction = sign * lanes[LEVEL_EXCESS + i]
 
         short_cosine, short_sine = lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i]
@@ -147,7 +147,7 @@ def gamma_variate(shape: Any, key0: Any, key1: Any, counter: Any) -> tuple[float
 
 
 @compiled
-def noncentral_chi_square(shape: Any, noncentrality: Any, key0: Any, key1: Any) -> float:
+def noncentral_chi_square(shape: Any, noncentrality: Any, key0: Any, key1: Any) -> Any:
     """Noncentral chi-square of 2 ``shape`` degrees of freedom: a Poisson mixture of Gamma variates, for any shape > 0."""
     count = 0.0
     left = 0.5 * noncentrality
@@ -239,7 +239,8 @@ def projection_curve(shape: float) -> npt.NDArray[np.float64]:
     k = 1 / eta[1:]
     g = np.exp(gammaln((n + 1) / 2) - gammaln(n / 2 + 1)) * k / math.sqrt(2) * hyp1f1(0.5, n / 2 + 1, -(k**2) / 2)
     root = np.concatenate([[0.0], np.sqrt(-np.log(g))])
-    return np.interp(np.linspace(0.0, LARGEST_ROOT, CELLS + 1), root, eta)
+    curve: npt.NDArray[np.float64] = np.interp(np.linspace(0.0, LARGEST_ROOT, CELLS + 1), root, eta)
+    return curve
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
