@@ -37,7 +37,6 @@ from .checks import ComplexArray, FloatArray
 Function: TypeAlias = tuple[ComplexArray, ComplexArray]  # (x, y) for x + y A
 MeanSquaresOfFilter: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # P_0, P_1, P_2, P_3
 
-
 MOST_LEVELS = 100_000  # of the continued fraction; far beyond what any car on a road asks for
 
 

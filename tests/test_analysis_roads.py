@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import dblquad, quad
 
@@ -132,6 +132,7 @@ def test_spectral_density_is_that_of_equation_5() -> None:
     np.testing.assert_allclose(analysis.spectral_density(road, w, speed=v), expected, rtol=1e-14)
 
 
+@settings(deadline=None, derandomize=True)
 @given(scale=st.floats(0.1, 10), shape=st.floats(0.05, 50), level=st.floats(-0.99, 0.99))
 def test_marginal_density_scales_with_the_bound(scale: float, shape: float, level: float) -> None:
     one = MultiplicativeRoad.from_shape(shape=shape)

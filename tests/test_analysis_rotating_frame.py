@@ -3,7 +3,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import analysis
@@ -87,11 +87,11 @@ def test_exact_form_to_ten_digits(kind, intensity: float, corner: float) -> None
         assert abs(got - expected) <= 1e-10 * abs(expected), (damping, speed)
 
 
-@pytest.mark.parametrize("kappa", [99.9, 100.1, 1e4, 1e6])
+@pytest.mark.parametrize("kappa", [13.0, 99.9, 100.1, 1e5])
 @pytest.mark.parametrize("kind", [LowPassSpeedNoise, HighPassSpeedNoise])
 def test_no_jump_where_the_rule_changes_and_beyond(kind, kappa: float) -> None:
     noise = kind(intensity=1.0, corner_frequency=0.5 / kappa)
-    for damping, speed in [(0.02, 0.9), (2.0, 0.3)]:
+    for damping, speed in [(1e-4, 1.0), (0.02, 0.9), (2.0, 0.3)]:
         got, expected = complex(analysis.mean_amplitude(noise, damping=damping, speed=speed)), reference(noise, damping, speed)
         assert abs(got - expected) <= 1e-10 * abs(expected)
 
@@ -124,6 +124,7 @@ def test_exact_form_against_its_definition(noise, damping: float) -> None:
 # moment equations
 
 
+@settings(deadline=None, derandomize=True)
 @given(damping=dampings, speed=speeds, intensity=st.floats(0.01, 3))
 def test_white_noise_closes_its_moments(damping: float, speed: float, intensity: float) -> None:
     noise = WhiteSpeedNoise(intensity=intensity)
@@ -207,6 +208,7 @@ def test_moment_systems_as_printed() -> None:
 # properties
 
 
+@settings(deadline=None, derandomize=True)
 @given(damping=dampings, speed=speeds, intensity=st.floats(0.01, 3), corner=st.floats(1e-3, 1e3))
 def test_no_noise_exceeds_the_peak_of_the_transfer_function(damping, speed, intensity, corner) -> None:
     frequency = np.concatenate([np.linspace(0, 3, 3001), np.sqrt(np.maximum(0, 1 + np.linspace(-4, 4, 401) * damping))])
@@ -221,6 +223,7 @@ def test_no_noise_exceeds_the_peak_of_the_transfer_function(damping, speed, inte
 
 
 @pytest.mark.parametrize("form", ["exact", "closure"])
+@settings(deadline=None, derandomize=True)
 @given(damping=st.floats(0.05, 5), speed=speeds, intensity=st.floats(0.01, 2))
 def test_limits_of_filtered_noise(form: str, damping: float, speed: float, intensity: float) -> None:
     def of(noise) -> complex:
@@ -236,6 +239,7 @@ def test_limits_of_filtered_noise(form: str, damping: float, speed: float, inten
         assert abs(of(noise) - limit) <= 1e-5 * abs(limit), noise
 
 
+@settings(deadline=None, derandomize=True)
 @given(
     form=st.sampled_from(["exact", "closure", "printed"]),
     kind=st.sampled_from([None, WhiteSpeedNoise, LowPassSpeedNoise, HighPassSpeedNoise]),
@@ -264,6 +268,7 @@ def test_only_ratios_of_frequencies_and_the_amplitude_count(form, kind, damping,
     assert complex(other) == pytest.approx(3 * complex(one), rel=1e-9)
 
 
+@settings(deadline=None, derandomize=True)
 @given(speed=speeds, intensity=st.floats(0.01, 3), corner=st.floats(1e-3, 1e3))
 def test_critical_damping_is_no_special_point(speed: float, intensity: float, corner: float) -> None:
     for kind in (LowPassSpeedNoise, HighPassSpeedNoise):

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import analysis
@@ -13,6 +13,7 @@ SENSES, FORMS = ("almost_sure", "mean"), ("ito", "printed")
 dampings = st.floats(0.01, 3).filter(lambda d: abs(d - 1) > 1e-6)  # at D = 1 eigenvalues of a matrix are good to 1e-8 only
 
 
+@settings(deadline=None, derandomize=True)
 @given(damping=dampings, speed=st.floats(0, 5), intensity=st.floats(0.01, 2), scale=st.floats(0.1, 10))
 @pytest.mark.parametrize("form", FORMS)
 def test_exponents_and_rotation_numbers_are_eigenvalues(form: str, damping, speed, intensity, scale) -> None:
@@ -69,6 +70,7 @@ def test_stability_map_of_figure_14() -> None:
 
 
 @pytest.mark.parametrize("sense", SENSES)
+@settings(deadline=None, derandomize=True)
 @given(damping=st.floats(0, 1e6), scale=st.floats(0.01, 100))
 def test_stability_is_lost_at_the_critical_noise(sense: str, damping: float, scale: float) -> None:
     arguments = {"natural_frequency": scale, "sense": sense, "form": "printed"}
@@ -79,6 +81,7 @@ def test_stability_is_lost_at_the_critical_noise(sense: str, damping: float, sca
     assert analysis.lyapunov_exponents(damping, intensity=math.sqrt(critical) * 1.01 + 1e-3, **arguments)[0] > 0
 
 
+@settings(deadline=None, derandomize=True)
 @given(damping=st.floats(0, 10), intensity=st.floats(0, 10))
 @pytest.mark.parametrize("sense", SENSES)
 def test_noise_never_destabilises(sense: str, damping: float, intensity: float) -> None:

@@ -45,11 +45,63 @@ def test_bounded_road_has_its_radial_law_and_stays_in_its_circle(shape):
     bandwidth = 0.5
     road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth, level_bound=0.9)
     # ten times the time in which the road forgets, 1/(2 delta v Omega), at the largest substep that a task may have
-    z, u, largest = road_lanes(road, level=0.3, slope=-0.2, time=10 / (2 * bandwidth))
+    coarse = {"control_interval": 0.5, "substeps": 2} if shape < 0.5 else {}  # the scheme for small shapes is slow
+    z, u, largest = road_lanes(road, level=0.3, slope=-0.2, time=10 / (2 * bandwidth), **coarse)
     assert largest <= 2 * (shape + 1)
     assert radial_test(z, u, shape).pvalue > 1e-3
     assert abs(np.mean(z**2) - 1) < 5 * np.std(z**2) / np.sqrt(LANES)
     assert abs(np.mean(u**2) - 1) < 5 * np.std(u**2) / np.sqrt(LANES)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("shape", [0.25, 2.0])
+def test_bounded_road_starts_in_its_radial_law(shape):
+    road = MultiplicativeRoad.from_shape(shape=shape)
+    plant = Plant(make_task(road=road), 300_000)
+    everyone = np.ones(300_000, np.bool_)
+    plant.seed(np.arange(300_000, dtype=np.uint64), everyone)
+    plant.reset(plant.forced({}), everyone)
+    z, u = plant.row(rows.LEVEL).astype(float), plant.row(rows.SLOPE).astype(float)
+    assert np.max(z**2 + u**2) <= 2 * (shape + 1)
+    assert radial_test(z, u, shape).pvalue > 1e-3
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("level_bound", "slope_bound", "shape"), [(0.5, 1.0, 1.5), (1.0, 0.6, 0.8), (1.0, 0.8, 0.4)])
+def test_road_on_an_ellipse_agrees_with_euler_and_maruyama(level_bound, slope_bound, shape):
+    bandwidth = 0.3
+    intensity = np.sqrt(2 * bandwidth / shape) * slope_bound
+    road = MultiplicativeRoad(
+        bandwidth=bandwidth, noise_intensity=intensity, level_bound=level_bound, slope_bound=slope_bound
+    )
+    assert road.shape == pytest.approx(shape)
+    generator = np.random.default_rng(4)
+    lanes, h, steps = 20_000, 0.004, 6_000
+    z, u = np.zeros(lanes), np.zeros(lanes)
+    squares, free = np.zeros(lanes), np.zeros(lanes)
+    for step in range(steps):
+        clipped = np.maximum(1 - (z / level_bound) ** 2 - (u / slope_bound) ** 2, 0)
+        noise = intensity * np.sqrt(clipped * h) * generator.standard_normal(lanes)
+        z, u = z + h * u, u - h * (2 * bandwidth * u + z) + noise
+        if step >= steps // 2:
+            squares += z**2 / (steps // 2)
+            free += clipped / (steps // 2)
+    error = squares.std() / np.sqrt(lanes)
+    combined = np.hypot(error, road.variance_standard_error)
+    # Euler and Maruyama's own bias is of the order of its step
+    assert abs(squares.mean() - road.variance) < 4 * combined + h * road.variance
+    # the closure of the second moments, exact with the clipped noise: E Z^2 = sigma^2 E V^2 / (4 delta Omega)
+    assert intensity**2 * free.mean() / (4 * bandwidth) == pytest.approx(squares.mean(), rel=0.02)
+    if slope_bound > level_bound:
+        formula = 1 / (1 / level_bound**2 + 1 / slope_bound**2 + 4 * bandwidth / intensity**2)  # (12), which does not hold
+        assert road.variance > 1.05 * formula
+
+
+def test_ellipse_refuses_what_only_a_circle_has():
+    road = MultiplicativeRoad(slope_bound=0.5)
+    with pytest.raises(ParameterError, match="bandwidth cannot be replaced on an ellipse"):
+        road.with_bandwidth(0.2)
+    assert MultiplicativeRoad(slope_bound=1.0).is_circle
 
 
 @pytest.mark.statistical
@@ -80,7 +132,7 @@ def test_table_of_directions_has_the_second_moment_of_its_law(shape):
     assert quantiles[-1] <= 1
     low, high = quantiles[:-1], quantiles[1:]
     second = np.mean((low**2 + low * high + high**2) / 3)
-    assert second == pytest.approx(0.5 / shape, rel=1e-5)
+    assert second == pytest.approx(0.5 / shape, rel=5e-5)
     # the fourth moment of a coordinate of a uniform direction, 3/(2 shape (2 shape + 2)), is what the chords may miss
     fourth = np.mean(sum(low**k * high ** (4 - k) for k in range(5)) / 5)
     assert fourth == pytest.approx(3 / (2 * shape * (2 * shape + 2)), rel=1e-2)
@@ -165,6 +217,7 @@ def test_road_survives_being_a_mapping(name):
         ({"kind": "gaussian", "bandwidth": -0.1}, "bandwidth must be positive, got -0.1"),
         ({"kind": "multiplicative", "level_bound": float("nan")}, "level_bound must be finite, got nan"),
         ({"kind": "harmonic", "amplitude": "high"}, "amplitude must be a number, got 'high'"),
+        ({"kind": "multiplicative", "slope_bound": 0}, "slope_bound must be positive, got 0"),
         ({"kind": "harmonic", "wavenumber": 0}, "wavenumber must be positive, got 0"),
         (3, "road must be a name, a mapping or a Road, got 3"),
     ],

@@ -1,8 +1,8 @@
-"""Bounded road with multiplicative noise, (7), (8) of Wedig (2020), on the circle z0 = u0 = r0:
+"""Bounded road with multiplicative noise, (7), (8) of Wedig (2020):
 
-    dZ = v W U dt,   dU = -v W (2 delta U + Z) dt + V sigma sqrt(v) dB,   V^2 = 1 - (Z^2 + U^2) / r0^2,
+    dZ = v W U dt,   dU = -v W (2 delta U + Z) dt + V sigma sqrt(v) dB,   V^2 = 1 - Z^2/z0^2 - U^2/u0^2.
 
-with density p ~ (1 - (z^2 + u^2) / r0^2)^(alpha - 1), alpha = 2 delta W r0^2 / sigma^2 (11), W = wavenumber.
+On the circle z0 = u0 = r0 it has the density p ~ (1 - (z^2 + u^2) / r0^2)^(alpha - 1), alpha = 2 delta W r0^2 / sigma^2 (11), W = wavenumber.
 
 Scheme: rotate, kick, rotate. Split the generator into the rotation dZ = U dt, dU = -Z dt and the rest, which moves U alone.
 At fixed Z the rest is a Jacobi diffusion of x = U / sqrt(r0^2 - Z^2) with density ~ (1 - x^2)^(alpha - 1), the law of one
@@ -22,6 +22,10 @@ alpha > 0, at any substep, the stationary law is the exact one (to the table's i
 function), Z^2 + U^2 <= r0^2 always, and the autocovariance of the samples is exact at every lag. Approximate, of first weak
 order in the angle a substep: how fast higher moments relax. The increments are not Gaussian, so no convergence along a given
 Brownian path is claimed.
+
+On an ellipse z0 != u0 the drift carries the path outside, where V^2 is taken as max(V^2, 0): there U only decays. The same three
+steps then split the equation symmetrically, with an error of second order in the angle; (11) and (12) do not hold, and the
+variance is found by simulation, see `MultiplicativeRoad.variance`.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ import numpy.typing as npt
 
 from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
 from ..noise import normal_pair, philox, uniform
-from ..parameters import positive
+from ..parameters import ParameterError, positive
 from .base import Road, check_fields
 from .gaussian import oscillator
 
@@ -44,8 +48,8 @@ KEEP, KICK = COEFFICIENT, COEFFICIENT + LANES
 SHORT_COSINE, SHORT_SINE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
 LONG_COSINE, LONG_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
 
-# the table: three constants, then knots of a curve
-SQUARE_RADIUS, SQUARE_BOUND, SHAPE, CURVE = 0, 1, 2, 3
+# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then knots of a curve
+SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, CURVE = 0, 1, 2, 3, 4
 CELLS = 512
 LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
 
@@ -79,12 +83,17 @@ def prepare(lanes: Any, words: Any, table: Any) -> None:
 
 @LaneFunction
 def start(lanes: Any, words: Any, table: Any) -> None:
-    """The stationary law (11): 1 - r^2/r0^2 = W^(1/alpha) with W uniform, and a uniform direction."""
+    """The stationary law (11) on a circle: 1 - r^2/r0^2 = W^(1/alpha) with W uniform, and a uniform direction.
+
+    On an ellipse the same law, stretched; the road warms up from it.
+    """
+    inverse_bound = np.float64(table[INVERSE_BOUND])
+    square = 1.0 / inverse_bound if inverse_bound > 0.0 else np.float64(table[SQUARE_CHORD])
     for i in range(LANES):
         free = uniform(words[i]) ** (1.0 / np.float64(table[SHAPE]))
-        radius = math.sqrt(np.float64(table[SQUARE_BOUND]) * (1.0 - free))
+        radius = math.sqrt(square * (1.0 - free))
         angle = 2.0 * math.pi * uniform(words[LANES + i])
-        lanes[LEVEL + i] = radius * math.cos(angle)
+        lanes[LEVEL + i] = radius * math.cos(angle) / math.sqrt(table[CHORD_RATIO])
         lanes[SLOPE + i] = radius * math.sin(angle)
 
 
@@ -94,8 +103,7 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
     zero, half, one, three_halves = like(lanes, 0.0), like(lanes, 0.5), like(lanes, 1.0), like(lanes, 1.5)
     twelfth = like(lanes, 1.0 / 12.0)
     fraction_unit = like(lanes, 2.0**-21)
-    square_radius = table[SQUARE_RADIUS]
-    inverse_bound = one / table[SQUARE_BOUND]
+    square_chord, chord_ratio, inverse_bound = table[SQUARE_CHORD], table[CHORD_RATIO], table[INVERSE_BOUND]
     # The look-up keeps to a loop of its own, into the row that is free until the end: with it the rest would not vectorise.
     for i in range(LANES):
         # the top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in it
@@ -120,7 +128,7 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
         old_u = lanes[SLOPE + i]
         z = first_cosine * lanes[LEVEL + i] + first_sine * old_u
         u = first_cosine * old_u - first_sine * lanes[LEVEL + i]
-        free = max(square_radius - z * z - u * u, zero)
+        free = max(square_chord - chord_ratio * z * z - u * u, zero)
         u = lanes[KEEP + i] * u + lanes[KICK + i] * direction * np.sqrt(free)
         new_z = last_cosine * z + last_sine * u
         new_u = last_cosine * u - last_sine * z
@@ -177,7 +185,8 @@ def noncentral_chi_square(shape: Any, noncentrality: Any, key0: Any, key1: Any) 
 def advance_small_shape(lanes: Any, words: Any, table: Any) -> None:
     """Rotate, step around the sphere and project, rotate; shapes alpha < 1/2."""
     shape = np.float64(table[SHAPE])
-    square_radius, square_bound = np.float64(table[SQUARE_RADIUS]), np.float64(table[SQUARE_BOUND])
+    square_chord, chord_ratio = np.float64(table[SQUARE_CHORD]), np.float64(table[CHORD_RATIO])
+    inverse_bound = np.float64(table[INVERSE_BOUND])
     for i in range(LANES):
         key0, key1 = words[i], words[LANES + i]
         w0, w1, w2, _ = philox(np.uint32(0), np.uint32(0), np.uint32(0), np.uint32(3), key0, key1)
@@ -191,15 +200,17 @@ def advance_small_shape(lanes: Any, words: Any, table: Any) -> None:
         old_z, old_u = np.float64(lanes[LEVEL + i]), np.float64(lanes[SLOPE + i])
         z = first_cosine * old_z + first_sine * old_u
         u = first_cosine * old_u - first_sine * old_z
-        half_chord = math.sqrt(max(square_radius - z * z, 1e-300))
+        half_chord = math.sqrt(max(square_chord - chord_ratio * z * z, 1e-300))
         x = u / half_chord
-        free = max(1.0 - x * x, 0.0)
-        x += eta * np.float64(normal_pair(w0, w1)[0])
-        free = eta * eta * noncentral_chi_square(shape, free / (eta * eta), key0, key1)
-        u = half_chord * x / math.sqrt(x * x + free)
+        if abs(x) >= 1.0:  # on the bound, or outside an ellipse: no noise
+            u *= np.float64(lanes[KEEP + i])
+        else:
+            x_new = x + eta * np.float64(normal_pair(w0, w1)[0])
+            free = eta * eta * noncentral_chi_square(shape, (1.0 - x * x) / (eta * eta), key0, key1)
+            u = half_chord * x_new / math.sqrt(x_new * x_new + free)
         new_z = last_cosine * z + last_sine * u
         new_u = last_cosine * u - last_sine * z
-        inside = min(1.5 - 0.5 * (new_z * new_z + new_u * new_u) / square_bound, 1.0)
+        inside = min(1.5 - 0.5 * (new_z * new_z + new_u * new_u) * inverse_bound, 1.0)
         lanes[LEVEL + i] = new_z * inside
         lanes[SLOPE + i] = new_u * inside
         lanes[LEVEL_EXCESS + i] = lanes[TURN + i] * (old_u - new_u) / 12.0
@@ -243,14 +254,46 @@ def projection_curve(shape: float) -> npt.NDArray[np.float64]:
     return curve
 
 
+@functools.cache
+def ellipse_variance(ratio: float, shape: float, bandwidth: float, error: float = 0.002) -> tuple[float, float]:
+    """(E Z^2 / z0^2, its standard error) on an ellipse with u0/z0 = ``ratio``, by simulation to the relative ``error``.
+
+    Independent roads are driven at a substep of 0.05 rad until the standard error of their time averages is small enough; the
+    bias of that substep is smaller still.
+    """
+    from ..plant import Plant
+    from ..task import make_task
+
+    lanes, interval, substeps = 16384, 1.0, 20
+    plant = Plant(make_task(road=_UnitEllipse(ratio, shape, bandwidth), control_interval=interval, substeps=substeps), lanes)
+    everyone = np.ones(lanes, np.bool_)
+    plant.seed(np.arange(lanes, dtype=np.uint64), everyone)
+    plant.reset(plant.forced({}), everyone)
+    actions = np.full(lanes, 0.5, np.float32)
+    for _ in range(math.ceil(5 / bandwidth)):  # exp(-2 delta angle) below 1e-4
+        plant.step(actions)
+    total, steps = np.zeros(lanes), 0
+    while True:
+        for _ in range(math.ceil(1 / bandwidth)):
+            plant.step(actions)
+            total += plant.row(LEVEL).astype(float) ** 2
+            steps += 1
+        mean = total.mean() / steps
+        spread = total.std(ddof=1) / steps / math.sqrt(lanes)
+        if spread <= error * mean:
+            return float(mean), float(spread)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MultiplicativeRoad(Road):
-    """Bounded road with multiplicative noise on the circle Z^2 + U^2 <= level_bound^2; equations (7), (8), (11), (12).
+    """Bounded road with multiplicative noise within Z^2/level_bound^2 + U^2/slope_bound^2 <= 1; equations (7), (8), (11), (12).
 
     Args:
         bandwidth: damping ratio delta of the road filter, 1.
         noise_intensity: sigma, m^(1/2).
-        level_bound: radius r0 of the circle, m.
+        level_bound: semi-axis z0, m.
+        slope_bound: semi-axis u0, m; None for level_bound, the circle. On any other ellipse the noise is clipped, V^2 -> max(V^2,
+            0), the path leaves the ellipse now and then, and (11), (12) do not hold.
         wavenumber: centre frequency Omega, rad/m.
     """
 
@@ -258,6 +301,7 @@ class MultiplicativeRoad(Road):
     bandwidth: float = 0.1
     noise_intensity: float = math.sqrt(0.1)
     level_bound: float = 1.0
+    slope_bound: float | None = None
 
     prepare = prepare
     start = start
@@ -265,35 +309,53 @@ class MultiplicativeRoad(Road):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_fields(self, "bandwidth", "noise_intensity", "level_bound")
+        if self.slope_bound is not None:
+            check_fields(self, "slope_bound")
 
     @classmethod
     def from_shape(
         cls, *, shape: float, bandwidth: float = 0.1, level_bound: float = 1.0, wavenumber: float = 1.0
     ) -> MultiplicativeRoad:
-        """The road whose density (11) has the shape alpha: sigma^2 = 2 delta Omega r0^2 / alpha."""
+        """The road on a circle whose density (11) has the shape alpha: sigma^2 = 2 delta Omega r0^2 / alpha."""
         positive("shape", shape)
-        variance = 2 * positive("bandwidth", bandwidth) * positive("wavenumber", wavenumber) * level_bound**2 / shape
-        return cls(
-            bandwidth=bandwidth,
-            noise_intensity=math.sqrt(variance),
-            level_bound=positive("level_bound", level_bound),
-            wavenumber=wavenumber,
-        )
+        positive("level_bound", level_bound)
+        square = 2 * positive("bandwidth", bandwidth) * positive("wavenumber", wavenumber) * level_bound**2 / shape
+        return cls(bandwidth=bandwidth, noise_intensity=math.sqrt(square), level_bound=level_bound, wavenumber=wavenumber)
+
+    @property
+    def is_circle(self) -> bool:
+        """Are both semi-axes equal, so that the law is known?"""
+        return self.slope_bound in (None, self.level_bound)
 
     @property
     def shape(self) -> float:
-        """alpha = 2 delta Omega r0^2 / sigma^2 (11); rounded to 12 digits, so that it survives `from_shape`."""
-        alpha = 2 * self.bandwidth * self.wavenumber * self.level_bound**2 / self.noise_intensity**2
-        return float(f"{alpha:.12g}")
+        """alpha = 2 delta Omega u0^2 / sigma^2 (11), rounded to 12 digits, so that it survives `from_shape`.
+
+        On an ellipse it is the shape of the law of U at a fixed Z.
+        """
+        bound = self.level_bound if self.slope_bound is None else self.slope_bound
+        return float(f"{2 * self.bandwidth * self.wavenumber * bound**2 / self.noise_intensity**2:.12g}")
 
     @property
     def variance(self) -> float:
-        """E Z^2 = E U^2 = r0^2 / (2 (alpha + 1)), m^2; (12)."""
-        return self.level_bound**2 / (2 * (self.shape + 1))
+        """E Z^2 = E U^2, m^2: r0^2 / (2 (alpha + 1)) (12) on a circle; on an ellipse by simulation, which takes seconds once."""
+        if self.is_circle:
+            return self.level_bound**2 / (2 * (self.shape + 1))
+        return self.level_bound**2 * ellipse_variance(*self._ellipse)[0]
+
+    @property
+    def variance_standard_error(self) -> float:
+        """Standard error of the variance, m^2: 0 on a circle, 0.2 % of the variance or less on an ellipse."""
+        return 0.0 if self.is_circle else self.level_bound**2 * ellipse_variance(*self._ellipse)[1]
+
+    @property
+    def _ellipse(self) -> tuple[float, float, float]:
+        assert self.slope_bound is not None
+        return self.slope_bound / self.level_bound, self.shape, self.bandwidth
 
     @property
     def precision(self) -> str:
-        """Below alpha = 1 the path touches the circle, and 1 - r^2/r0^2 needs more digits than single precision has."""
+        """Below alpha = 1 the path touches the bound, and 1 - r^2/r0^2 needs more digits than single precision has."""
         return "float64" if self.shape < 1 else "float32"
 
     @property
@@ -307,13 +369,31 @@ class MultiplicativeRoad(Road):
         return 2 if self.shape < 0.5 else 1
 
     def table(self) -> npt.NDArray[np.float64]:
-        """Radius, radius less four units in the last place, shape, and the curve of the scheme."""
-        square_radius = 2 * (self.shape + 1)
-        shrink = 1 - 4 * float(np.finfo(self.precision).eps)
+        """The bounds in standard deviations, the shape, and the curve of the scheme."""
+        square_chord, ratio = 2 * (self.shape + 1), 1.0
+        if not self.is_circle:
+            assert self.slope_bound is not None
+            square_chord, ratio = self.slope_bound**2 / self.variance, (self.slope_bound / self.level_bound) ** 2
+        # four units in the last place inside the circle, so that what is stored never lies outside
+        bound = square_chord * (1 - 4 * float(np.finfo(self.precision).eps))
         curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
-        return np.concatenate([[square_radius, square_radius * shrink, self.shape], curve])
+        return np.concatenate([[square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape], curve])
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
-        """The same road with another bandwidth, and the same shape and variance."""
-        scale = math.sqrt(positive("bandwidth", bandwidth) / self.bandwidth)
+        """The same road with another bandwidth, and the same shape and variance; circles only."""
+        positive("bandwidth", bandwidth)
+        if not self.is_circle:
+            raise ParameterError("bandwidth cannot be replaced on an ellipse: level and slope bound fix another variance for each")
+        scale = math.sqrt(bandwidth / self.bandwidth)
         return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)
+
+
+class _UnitEllipse(MultiplicativeRoad):
+    """A road on an ellipse in units of z0, whatever its variance, to find the latter."""
+
+    def __init__(self, ratio: float, shape: float, bandwidth: float) -> None:
+        super().__init__(
+            bandwidth=bandwidth, level_bound=1.0, slope_bound=ratio, noise_intensity=math.sqrt(2 * bandwidth * ratio**2 / shape)
+        )
+
+    variance = 1.0  # type: ignore[assignment]

@@ -1,0 +1,383 @@
+"""A certificate of a plant: figures of the simulation beside those that theory expects, with a verdict on each.
+
+Road, at the given speed: the variances E Z^2 and E U^2; the spectral density; the law of the level; its bound. At half and
+double speed: the spectral density, and that the law is still the same. Car: the stationary mean squares.
+
+*Spectral density.* The measured figure is a periodogram under Hann's window, averaged over lanes. The expected one is its exact
+mean, the spectrum as the same record shows it, sum over lags k of (window * window)(k) R(k) cos(w k) with the autocovariance R.
+So neither leakage nor aliasing is a bias, and one formula serves continuous spectra and the lines of the harmonic road:
+
+    first order   R(t) = E Z^2 e^(-a),                                            a = wavenumber v t      (4), (5)
+    second order  R(t) = E Z^2 e^(-delta a) (cos b a + delta/b sin b a),          b = sqrt(1 - delta^2)   (7), (8)
+    harmonic      R(t) = E Z^2 cos(a) e^(-w(t)/2),                                                        (2), (18), (25), (30)
+
+w(t) being the variance of the phase's random part: sigma^2 t under white noise, sigma^2 (t - (1 - e^(-w_g t))/w_g) under
+low-pass, sigma^2 (1 - e^(-w_g t))/w_g under high-pass noise. Equation numbers are those of Wedig (2020).
+
+*Verdicts.* Each line tests the hypothesis that the plant is right, to within the tolerance it promises. The probability that a
+sound plant fails any line is at most `FALSE_ALARM_RATE`, shared out equally between the lines (Bonferroni's inequality), however
+the lines depend on each other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.car import MEAN_SQUARES
+from roadgym.parameters import ParameterError, positive, whole
+from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
+
+from .checks import FloatArray, non_negative_array
+from .response import mean_squares
+from .roads import marginal_density
+from .sampling import Samples, drive
+
+FALSE_ALARM_RATE = 1e-3  # probability, at most, that a sound plant does not pass
+FEWEST_LANES = 256  # below, a mean over lanes is not normal enough far out in its tails
+ROAD_TOLERANCE = 1e-3  # what rounding and tables may move the figures of a road that is exact in law
+CAR_TOLERANCE = 5e-3  # what the car's scheme promises
+LAW_CELLS = 8192
+FREQUENCIES = (0.5, 1.0, 2.0)  # of the spectral density, over the angular rate of the road, wavenumber * speed
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Line:
+    """One figure of a certificate.
+
+    Attributes:
+        name: what it is, with its unit.
+        measured: the figure of the simulation.
+        expected: that of theory; of a Kolmogorov-Smirnov distance, its mean on a sound plant; of a bound, the bound.
+        standard_error: of the measured figure, from independent lanes; None for a bound, which is exact.
+        tolerance: relative bias that a sound plant may have.
+        distance: measured less expected, in standard errors; None for a bound.
+        p_value: probability of at least this distance, in either direction, on a plant whose bias is the tolerance (of a
+            Kolmogorov-Smirnov distance: on a sound plant); None for a bound.
+        passed: the verdict.
+    """
+
+    name: str
+    measured: float
+    expected: float
+    standard_error: float | None = None
+    tolerance: float = 0.0
+    distance: float | None = None
+    p_value: float | None = None
+    passed: bool
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """All lines of one plant.
+
+    Attributes:
+        plant: the plant and how it was driven, in words.
+        level: p-value below which a line fails.
+        lines: the figures.
+        left_out: what has no closed form on this plant, and why.
+    """
+
+    plant: str
+    level: float
+    lines: tuple[Line, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Does every line pass?"""
+        return all(line.passed for line in self.lines)
+
+    def table(self) -> str:
+        """The certificate as text."""
+        head = ("", "measured", "expected", "standard error", "distance", "p-value", "verdict")
+        rows = [head, *(_cells(line) for line in self.lines)]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+        text = [self.plant, ""]
+        for name, *cells in rows:
+            padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+            text.append("  ".join([name.ljust(widths[0]), *padded]))
+        failed = sum(not line.passed for line in self.lines)
+        text += [
+            "",
+            f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
+            "Distances are in standard errors, which come from independent lanes. A line fails where its p-value is below "
+            f"{self.level:.2g}; a sound plant",
+            f"fails any with a probability of at most {FALSE_ALARM_RATE:g}. p-values allow for a bias of "
+            f"{100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car.",
+        ]
+        return "\n".join([*text, *(f"Left out: {reason}." for reason in self.left_out)])
+
+    def to_json(self) -> str:
+        """The certificate as JSON; null for figures that a line does not have, or that are not finite."""
+
+        def finite(value: Any) -> Any:
+            return None if isinstance(value, float) and not math.isfinite(value) else value
+
+        lines = [{name: finite(value) for name, value in dataclasses.asdict(line).items()} for line in self.lines]
+        return json.dumps(
+            {"plant": self.plant, "passed": self.passed, "level": self.level, "lines": lines, "left_out": list(self.left_out)},
+            indent=2,
+        )
+
+
+def certify(
+    road: str | Mapping[str, Any] | Road,
+    speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
+    *,
+    speed: float = 1.0,
+    damping: float = 0.3,
+    natural_frequency: float = 1.0,
+    seed: int = 0,
+    lanes: int = 16384,
+    report: Callable[[str, int, int], None] | None = None,
+) -> Certificate:
+    """Drive a plant and compare it with theory, line by line; see the module's docstring.
+
+    Args:
+        road: a road, or its name or mapping.
+        speed_noise: noise on the speed, or its name or mapping, or None.
+        speed: v, m/s; the road is driven at v/2 and 2 v as well.
+        damping: D, 1.
+        natural_frequency: w1, rad/s.
+        seed: fixes the noise.
+        lanes: independent cars at each speed; standard errors fall as its root.
+        report: called as ``report(what, intervals done, intervals in all)`` now and then.
+
+    Returns:
+        The certificate; lines that are not defined on the plant are left out.
+
+    Raises:
+        ParameterError: a parameter out of range, or too few lanes for a standard error.
+    """
+    road = make_road(road)
+    speed_noise = make_speed_noise(speed_noise, road)
+    speed, damping = positive("speed", speed), positive("damping", damping)
+    natural_frequency = positive("natural_frequency", natural_frequency)
+    whole("seed", seed, low=0)
+    if whole("lanes", lanes) < FEWEST_LANES:
+        raise ParameterError(f"lanes must be at least {FEWEST_LANES} to have a standard error, got {lanes}")
+
+    turn = speed * road.wavenumber
+    # off its line, the spectrum of a sinusoid is leakage and nothing else
+    ratios = (1.0,) if isinstance(road, HarmonicRoad) and speed_noise is None else FREQUENCIES
+    seeds = np.random.SeedSequence(seed).generate_state(3, np.uint64)
+    speeds = {1.0: ratios, 0.5: (1.0,), 2.0: (1.0,)}
+    samples = {
+        factor: drive(
+            road,
+            speed_noise,
+            speed=factor * speed,
+            damping=damping,
+            natural_frequency=natural_frequency,
+            frequencies=[ratio * factor * turn for ratio in chosen],
+            lanes=lanes,
+            seed=int(own_seed),
+            report=None if report is None else _at(report, f"at {factor * speed:g} m/s"),
+        )
+        for (factor, chosen), own_seed in zip(speeds.items(), seeds, strict=True)
+    }
+    own, slow, fast = samples[1.0], samples[0.5], samples[2.0]
+
+    lines = [_moment("variance of the level (m^2)", own.level_square, road.variance)]
+    left_out = []
+    if road.has_slope:
+        lines.append(_moment("variance of the slope (m^2)", own.slope_square, road.variance))
+    try:
+        for factor, chosen in speeds.items():
+            expected = expected_periodogram(samples[factor], road, speed_noise, factor * speed, chosen)
+            lines += [
+                _moment(f"spectral density at {factor * speed:g} m/s, {ratio * factor * turn:.4g} rad/s (m^2 s)", found, figure)
+                for ratio, found, figure in zip(chosen, samples[factor].periodogram, expected, strict=True)
+            ]
+    except ParameterError as error:
+        left_out.append(f"spectral density ({error})")
+    lines += _law_lines(road, own, slow, fast, left_out)
+    try:
+        theory = mean_squares(road, speed_noise, damping=damping, speed=speed, natural_frequency=natural_frequency)
+        for name, found in zip(MEAN_SQUARES, own.mean_squares, strict=True):
+            if np.isfinite(figure := float(getattr(theory, name))):
+                lines.append(_moment(f"mean square of the {name.replace('_', ' ')} (m^2)", found, figure, CAR_TOLERANCE))
+            else:
+                left_out.append(f"mean square of the {name.replace('_', ' ')} (infinite on this plant)")
+    except ParameterError as error:
+        left_out.append(f"mean squares of the car ({error})")
+
+    level = FALSE_ALARM_RATE / sum(line.p_value is not None for line in lines)
+    noise = "no speed noise" if speed_noise is None else f"{speed_noise.kind} speed noise"
+    return Certificate(
+        plant=f"{road.kind} road, {noise}: speed {speed:g} m/s, damping {damping:g}, natural frequency "
+        f"{natural_frequency:g} rad/s; {lanes} lanes, seed {seed}",
+        level=level,
+        # a figure that is not a number has no p-value either, and fails
+        lines=tuple(
+            line if line.p_value is None else dataclasses.replace(line, passed=line.p_value >= level) for line in lines
+        ),
+        left_out=tuple(left_out),
+    )
+
+
+def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLike, *, speed: float) -> FloatArray:
+    """Autocovariance E Z(s) Z(s + t) of the level in time, for the lags t; see the module's docstring.
+
+    Args:
+        road: a road.
+        speed_noise: noise on the phase of a harmonic road, or None.
+        lag: t >= 0, s, any shape.
+        speed: v, m/s.
+
+    Returns:
+        R, m^2, in the shape of ``lag``.
+
+    Raises:
+        ParameterError: a plant without closed form, such as a random road under speed noise.
+    """
+    t = non_negative_array("lag", lag)
+    angle = speed * road.wavenumber * t
+    if isinstance(road, HarmonicRoad):
+        return road.variance * np.cos(angle) * np.exp(-_phase_variance(speed_noise, t) / 2)
+    if speed_noise is not None:
+        raise ParameterError(f"with {speed_noise.kind} noise there is no closed form on a {road.kind} road")
+    if isinstance(road, FirstOrderRoad):
+        return road.variance * np.exp(-angle)
+    if isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+        delta = road.bandwidth
+        root = np.sqrt(complex((delta - 1) * (delta + 1)))
+        root = root if abs(root) > 1e-5 else 1e-5  # at critical damping the limit, to 1e-10
+        first, second = -delta + root, -delta - root
+        decay = (first * np.exp(second * angle) - second * np.exp(first * angle)) / (first - second)
+        return np.asarray(road.variance * decay.real)
+    raise ParameterError(f"none is known for a {road.kind} road")
+
+
+def _phase_variance(speed_noise: SpeedNoise | None, time: FloatArray) -> FloatArray:
+    """Variance w(t) of the random part of the phase, rad^2, after the ``time`` t, s."""
+    if speed_noise is None:
+        return np.zeros_like(time)
+    square = speed_noise.intensity**2
+    if isinstance(speed_noise, WhiteSpeedNoise):
+        return square * time
+    if isinstance(speed_noise, (LowPassSpeedNoise, HighPassSpeedNoise)):
+        filtered = -np.expm1(-speed_noise.corner_frequency * time) / speed_noise.corner_frequency
+        return square * (filtered if isinstance(speed_noise, HighPassSpeedNoise) else time - filtered)
+    raise ParameterError(f"none is known for {speed_noise.kind} speed noise")
+
+
+def expected_periodogram(
+    samples: Samples, road: Road, speed_noise: SpeedNoise | None, speed: float, ratios: tuple[float, ...]
+) -> FloatArray:
+    """Exact mean of the periodogram of a record, m^2 s, at ``ratios`` times the road's angular rate; shape (ratios,).
+
+    Raises:
+        ParameterError: a plant whose autocovariance has no closed form.
+    """
+    from scipy.signal import correlate
+
+    window = samples.window
+    overlap = correlate(window, window)[window.size - 1 :]
+    overlap[1:] *= 2  # both signs of the lag
+    lag = samples.interval * np.arange(window.size)
+    covariance = autocovariance(road, speed_noise, lag, speed=speed)
+    waves = np.cos(np.outer(ratios, speed * road.wavenumber * lag))
+    return np.asarray(samples.interval * (waves @ (overlap * covariance)) / overlap[0])
+
+
+def level_distribution(road: Road, level: npt.ArrayLike) -> FloatArray:
+    """Probability that Z is below ``level``, m: the integral of `analysis.marginal_density`, to 1e-4 or better.
+
+    Raises:
+        ParameterError: a road whose density is not known.
+    """
+    if isinstance(road, MultiplicativeRoad):
+        bound = road.level_bound
+    else:
+        bound = road.amplitude if isinstance(road, HarmonicRoad) else 12 * math.sqrt(road.variance)
+    # with z = bound sin(angle) the densities that are infinite at the bound become smooth; the midpoint rule never meets it
+    edges = np.linspace(-math.pi / 2, math.pi / 2, LAW_CELLS + 1)
+    middle = (edges[1:] + edges[:-1]) / 2
+    mass = marginal_density(road, bound * np.sin(middle)) * bound * np.cos(middle) * (math.pi / LAW_CELLS)
+    distribution = np.concatenate([[0.0], np.cumsum(mass)])
+    angle = np.arcsin(np.clip(np.asarray(level) / bound, -1, 1))
+    return np.asarray(np.interp(angle, edges, distribution))
+
+
+def _law_lines(road: Road, own: Samples, slow: Samples, fast: Samples, left_out: list[str]) -> list[Line]:
+    """The law of the level, its independence of the speed, and its bound."""
+    from scipy import stats
+
+    lines = []
+    lanes = own.level.size
+    try:
+        test = stats.kstest(own.level, lambda level: level_distribution(road, level))
+        lines.append(_largest_difference("law of the level, Kolmogorov-Smirnov distance", test, lanes))
+    except ParameterError as error:
+        left_out.append(f"law of the level ({error})")
+    test = stats.ks_2samp(slow.level, fast.level, method="asymp")
+    lines.append(_largest_difference("law at double against half speed, Kolmogorov-Smirnov distance", test, lanes / 2))
+    # ratio of two means, to first order in what either is off; the runs share no noise, so lanes may be paired at will
+    mean = slow.level_square.mean()
+    ratio = fast.level_square.mean() / mean
+    terms = ratio + (fast.level_square - ratio * slow.level_square) / mean
+    lines.append(_moment("variance at double over half speed", terms, 1.0))
+    if isinstance(road, MultiplicativeRoad):
+        bound = road.level_bound**2
+        largest = own.largest_square / bound
+        passed = largest <= 1 + 8 * np.finfo(np.float64).eps  # the rounding of the ratio itself
+        lines.append(Line(name="largest (Z^2 + U^2)/r0^2, at most 1", measured=largest, expected=1.0, passed=passed))
+    return lines
+
+
+def _moment(name: str, figures: FloatArray, expected: float, tolerance: float = ROAD_TOLERANCE) -> Line:
+    """The mean of independent figures, shape (lanes,), against what is expected, which is positive."""
+    from scipy.stats import norm
+
+    measured = float(figures.mean())
+    # on the harmonic road a figure may be the same in every lane, to rounding
+    error = max(float(figures.std(ddof=1)) / math.sqrt(figures.size), float(np.finfo(np.float64).eps) * expected)
+    difference, allowed = measured - expected, tolerance * expected
+    return Line(
+        name=name,
+        measured=measured,
+        expected=expected,
+        standard_error=error,
+        tolerance=tolerance,
+        distance=difference / error,
+        p_value=float(norm.sf((abs(difference) - allowed) / error) + norm.sf((abs(difference) + allowed) / error)),
+        passed=False,
+    )
+
+
+def _largest_difference(name: str, test: Any, lanes: float) -> Line:
+    """The result of a Kolmogorov-Smirnov test with this effective number of samples, against its asymptotic law."""
+    from scipy.stats import kstwobign
+
+    mean, error = kstwobign.mean() / math.sqrt(lanes), kstwobign.std() / math.sqrt(lanes)
+    measured = float(test.statistic)
+    return Line(
+        name=name,
+        measured=measured,
+        expected=float(mean),
+        standard_error=float(error),
+        distance=float((measured - mean) / error),
+        p_value=float(test.pvalue),
+        passed=False,
+    )
+
+
+def _at(report: Callable[[str, int, int], None], what: str) -> Callable[[int, int], None]:
+    return lambda done, total: report(what, done, total)
+
+
+def _cells(line: Line) -> tuple[str, ...]:
+    """A row of the table."""
+    errors = ("exact", "", "")
+    if line.standard_error is not None and line.distance is not None and line.p_value is not None:
+        errors = (f"{line.standard_error:.2g}", f"{line.distance:.2f}", f"{line.p_value:.2g}")
+    return line.name, f"{line.measured:.5g}", f"{line.expected:.5g}", *errors, "pass" if line.passed else "FAIL"
