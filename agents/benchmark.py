@@ -78,7 +78,8 @@ def side_by_side(
     ratios = pairs[:, 1] / pairs[:, 0] if peer_over_ours else pairs[:, 0] / pairs[:, 1]
     ratio = float(np.median(ratios))
     spread = float(ratios.min()), float(ratios.max())
-    return Result(name, *np.median(pairs, axis=0).tolist(), ratio, spread, reach, good(ratio))
+    own, other = np.median(pairs, axis=0).tolist()
+    return Result(name, own, other, ratio, spread, reach, good(ratio))
 
 
 def batch(num_envs: int, **options: Any) -> Callable[[], Any]:
@@ -258,7 +259,9 @@ def scaling() -> list[dict[str, float]]:
     """Nanoseconds for one environment step over the number of environments and of substeps, one thread."""
     rows = []
     for num_envs in (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000):
-        rows.append({"environments": num_envs, "substeps": 2, "nanoseconds": seconds(batch(num_envs, threads=1)) / num_envs * 1e9})
+        rows.append(
+            {"environments": num_envs, "substeps": 2, "nanoseconds": seconds(batch(num_envs, threads=1)) / num_envs * 1e9}
+        )
     for substeps in (1, 2, 4, 8, 16, 32):
         step = batch(4096, threads=1, substeps=substeps)
         rows.append({"environments": 4096, "substeps": substeps, "nanoseconds": seconds(step) / 4096 * 1e9})

@@ -199,7 +199,7 @@ def test_mistakes_get_one_line(arguments, message, capsys, tmp_path, monkeypatch
 
 
 def test_help_is_quick_and_has_an_example():
-    code = "import sys; from agents.cli import main\ntry: main(['compare', '--help'])\nexcept SystemExit: print('torch' in sys.modules)"
+    code = "import sys, agents.cli as c\ntry: c.main(['compare', '--help'])\nexcept SystemExit: print('torch' in sys.modules)"
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "example: roadgym compare --output results" in output
     assert output.endswith("False\n")

@@ -71,9 +71,7 @@ def test_bounded_road_starts_in_its_radial_law(shape):
 def test_road_on_an_ellipse_agrees_with_euler_and_maruyama(level_bound, slope_bound, shape):
     bandwidth = 0.3
     intensity = np.sqrt(2 * bandwidth / shape) * slope_bound
-    road = MultiplicativeRoad(
-        bandwidth=bandwidth, noise_intensity=intensity, level_bound=level_bound, slope_bound=slope_bound
-    )
+    road = MultiplicativeRoad(bandwidth=bandwidth, noise_intensity=intensity, level_bound=level_bound, slope_bound=slope_bound)
     assert road.shape == pytest.approx(shape)
     generator = np.random.default_rng(4)
     lanes, h, steps = 20_000, 0.004, 6_000

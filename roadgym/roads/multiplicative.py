@@ -2,7 +2,8 @@
 
     dZ = v W U dt,   dU = -v W (2 delta U + Z) dt + V sigma sqrt(v) dB,   V^2 = 1 - Z^2/z0^2 - U^2/u0^2.
 
-On the circle z0 = u0 = r0 it has the density p ~ (1 - (z^2 + u^2) / r0^2)^(alpha - 1), alpha = 2 delta W r0^2 / sigma^2 (11), W = wavenumber.
+Here W = wavenumber. On the circle z0 = u0 = r0 the density is p ~ (1 - (z^2 + u^2) / r0^2)^(alpha - 1) with
+alpha = 2 delta W r0^2 / sigma^2 (11).
 
 Scheme: rotate, kick, rotate. Split the generator into the rotation dZ = U dt, dU = -Z dt and the rest, which moves U alone.
 At fixed Z the rest is a Jacobi diffusion of x = U / sqrt(r0^2 - Z^2) with density ~ (1 - x^2)^(alpha - 1), the law of one
@@ -23,8 +24,8 @@ function), Z^2 + U^2 <= r0^2 always, and the autocovariance of the samples is ex
 order in the angle a substep: how fast higher moments relax. The increments are not Gaussian, so no convergence along a given
 Brownian path is claimed.
 
-On an ellipse z0 != u0 the drift carries the path outside, where V^2 is taken as max(V^2, 0): there U only decays. The same three
-steps then split the equation symmetrically, with an error of second order in the angle; (11) and (12) do not hold, and the
+On an ellipse z0 != u0 the drift carries the path outside, where V^2 is taken as max(V^2, 0): there U only decays. The same
+three steps then split the equation symmetrically, with an error of second order in the angle; (11) and (12) do not hold, and the
 variance is found by simulation, see `MultiplicativeRoad.variance`.
 """
 
@@ -292,8 +293,8 @@ class MultiplicativeRoad(Road):
         bandwidth: damping ratio delta of the road filter, 1.
         noise_intensity: sigma, m^(1/2).
         level_bound: semi-axis z0, m.
-        slope_bound: semi-axis u0, m; None for level_bound, the circle. On any other ellipse the noise is clipped, V^2 -> max(V^2,
-            0), the path leaves the ellipse now and then, and (11), (12) do not hold.
+        slope_bound: semi-axis u0, m; None for level_bound, the circle. On any other ellipse the noise is clipped,
+            V^2 -> max(V^2, 0), the path leaves the ellipse now and then, and (11), (12) do not hold.
         wavenumber: centre frequency Omega, rad/m.
     """
 
@@ -338,7 +339,7 @@ class MultiplicativeRoad(Road):
 
     @property
     def variance(self) -> float:
-        """E Z^2 = E U^2, m^2: r0^2 / (2 (alpha + 1)) (12) on a circle; on an ellipse by simulation, which takes seconds once."""
+        """E Z^2 = E U^2, m^2: r0^2 / (2 (alpha + 1)) (12) on a circle; on an ellipse by simulation (seconds, once)."""
         if self.is_circle:
             return self.level_bound**2 / (2 * (self.shape + 1))
         return self.level_bound**2 * ellipse_variance(*self._ellipse)[0]
@@ -383,7 +384,9 @@ class MultiplicativeRoad(Road):
         """The same road with another bandwidth, and the same shape and variance; circles only."""
         positive("bandwidth", bandwidth)
         if not self.is_circle:
-            raise ParameterError("bandwidth cannot be replaced on an ellipse: level and slope bound fix another variance for each")
+            raise ParameterError(
+                "bandwidth cannot be replaced on an ellipse: level and slope bound fix another variance for each"
+            )
         scale = math.sqrt(bandwidth / self.bandwidth)
         return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)
 
@@ -396,4 +399,4 @@ class _UnitEllipse(MultiplicativeRoad):
             bandwidth=bandwidth, level_bound=1.0, slope_bound=ratio, noise_intensity=math.sqrt(2 * bandwidth * ratio**2 / shape)
         )
 
-    variance = 1.0  # type: ignore[assignment]
+    variance = 1.0
