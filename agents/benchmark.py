@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -266,6 +267,39 @@ def scaling() -> list[dict[str, float]]:
         step = batch(4096, threads=1, substeps=substeps)
         rows.append({"environments": 4096, "substeps": substeps, "nanoseconds": seconds(step) / 4096 * 1e9})
     return rows
+
+
+def scaling_table(rows: list[dict[str, float]]) -> str:
+    """The scaling as text."""
+    lines = ["environments  substeps  ns for a step of one environment"]
+    lines += [f"{row['environments']:12g}  {row['substeps']:8g}  {row['nanoseconds']:32.3g}" for row in rows]
+    return "\n".join(lines)
+
+
+def draw_scaling(rows: list[dict[str, float]], path: Path) -> None:
+    """Time of a batch's step over its size, and of one environment's over the substeps, with lines of slope one."""
+    from matplotlib.figure import Figure
+
+    from .figures import save_figure
+
+    figure = Figure(figsize=(9.5, 4.2), layout="constrained")
+    sizes, substeps = figure.subplots(1, 2)
+    by_size = [(row["environments"], row["nanoseconds"] * row["environments"] / 1e3) for row in rows[:-6]]
+    by_substep = [(row["substeps"], row["nanoseconds"]) for row in rows[-6:]]
+    x, y = zip(*by_size, strict=True)
+    sizes.loglog(x, y, "o-", color="#0072B2")
+    sizes.loglog(x[-4:], [y[-1] * size / x[-1] for size in x[-4:]], ":", color="black", label="linear")
+    sizes.set_xlabel("environments in the batch")
+    sizes.set_ylabel("time of a step of the batch, \u00b5s")
+    sizes.legend()
+    x, y = zip(*by_substep, strict=True)
+    substeps.plot(x, y, "o-", color="#0072B2")
+    substeps.set_xlabel("substeps in a control interval")
+    substeps.set_ylabel("time of a step of one environment of 4096, ns")
+    substeps.set_ylim(bottom=0)
+    for axis in (sizes, substeps):
+        axis.grid(visible=True, linewidth=0.3)
+    save_figure(figure, path)
 
 
 def quantity(value: float) -> str:

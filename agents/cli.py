@@ -1,6 +1,7 @@
-"""The command line: ``roadgym train``, ``roadgym evaluate`` and ``roadgym compare``.
+"""The command line: ``roadgym train``, ``roadgym evaluate``, ``roadgym compare`` and ``roadgym certify``.
 
-Exit codes: 0 success, 2 a wrong argument or an unusable folder (one line says which), 130 interrupted.
+Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument or an unusable folder (one line says which),
+130 interrupted.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from .training import AgentError
 
     try:
-        chosen.run(chosen)
+        code: int | None = chosen.run(chosen)
     except (ParameterError, AgentError) as error:
         print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
         return 2
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 0
-    return 0
+    return code or 0
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -72,6 +73,33 @@ def make_parser() -> argparse.ArgumentParser:
     _add_training(compare)
     _add_evaluation(compare)
     _add_environment(compare)
+
+    certify = _command(
+        commands,
+        "certify",
+        run_certify,
+        "drive a plant and compare its law, spectrum and response with the exact ones; exit code 1 if any line fails",
+        "roadgym certify --road gaussian --speed 1.5",
+    )
+    certify.add_argument(
+        "--road", type=_component, default="multiplicative", help=f"{', '.join(ROADS)}, or a JSON mapping (%(default)s)"
+    )
+    certify.add_argument(
+        "--speed-noise", type=_component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind (none)"
+    )
+    certify.add_argument("--speed", type=float, default=1.0, metavar="V", help="speed, m/s (%(default)s)")
+    certify.add_argument("--damping", type=float, default=0.3, metavar="D", help="damping ratio (%(default)s)")
+    certify.add_argument("--natural-frequency", type=float, default=1.0, metavar="W1", help="of the car, rad/s (%(default)s)")
+    certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s)")
+    certify.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
+    certify.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+    benchmark = _command(
+        commands, "benchmark", run_benchmark, "measure speed side by side with peers", "roadgym benchmark --output speed.json"
+    )
+    benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
+    benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
+    benchmark.add_argument("--output", metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it")
     return parser
 
 
@@ -283,6 +311,54 @@ def run_compare(chosen: argparse.Namespace) -> None:
     print(comparison.to_json() if chosen.json else table(comparison))
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
+
+
+def run_certify(chosen: argparse.Namespace) -> int:
+    """``roadgym certify``."""
+    from analysis.certification import certify
+
+    from .progress import evaluation_progress
+
+    with evaluation_progress() as report:
+        certificate = certify(
+            chosen.road,
+            chosen.speed_noise,
+            speed=chosen.speed,
+            damping=chosen.damping,
+            natural_frequency=chosen.natural_frequency,
+            seed=chosen.seed,
+            lanes=chosen.lanes,
+            report=report,
+        )
+    print(certificate.to_json() if chosen.json else certificate.table())
+    return 0 if certificate.passed else 1
+
+
+def run_benchmark(chosen: argparse.Namespace) -> None:
+    """``roadgym benchmark``."""
+    import dataclasses
+
+    from .benchmark import CASES, draw_scaling, scaling, scaling_table, table
+    from .training import versions, write_atomically
+
+    names = chosen.only or list(CASES)
+    for name in names:
+        if name not in CASES:
+            raise ParameterError(f"unknown case {name!r}; known: {', '.join(CASES)}")
+    results = []
+    for name in names:
+        print(f"measuring {name}", file=sys.stderr, flush=True)
+        results.append(CASES[name]())
+    print(table(results))
+    rows = scaling() if chosen.scaling else []
+    if rows:
+        print("\n" + scaling_table(rows))
+    if chosen.output:
+        content = {"results": [dataclasses.asdict(r) for r in results], "scaling": rows, "versions": versions()}
+        path = Path(chosen.output)
+        write_atomically(path, json.dumps(content, indent=2) + "\n")
+        if rows:
+            draw_scaling(rows, path.with_suffix(".png"))
 
 
 def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]) -> bool:

@@ -55,10 +55,35 @@ def test_normals_follow_the_normal_law(normals):
         assert abs(np.mean(sample**power) - expected) < 4 * np.sqrt(spread / n)
 
 
-def test_normals_reach_far_into_the_tails(normals):
-    beyond = np.sum(np.abs(normals) > 4.5)
-    expected = normals.size * 2 * stats.norm.sf(4.5)
-    assert abs(beyond - expected) < 4 * np.sqrt(expected)
+@njit(nogil=True)
+def fill_normals(out, first):
+    for i in range(0, out.size, 4):
+        w = philox(np.uint32(0), np.uint32(first + i), np.uint32(3), np.uint32(1), np.uint32(7), np.uint32(8))
+        out[i], out[i + 1] = normal_pair(w[0], w[1])
+        out[i + 2], out[i + 3] = normal_pair(w[2], w[3])
+
+
+def test_hundred_million_normals_follow_the_law_into_the_tails():
+    part, parts, cells = 4_000_000, 25, 4096
+    n = part * parts
+    edges = stats.norm.ppf(np.linspace(0, 1, cells + 1))
+    counts, beyond = np.zeros(cells), {4.5: 0, 5.0: 0, 5.5: 0}
+    out = np.empty(part, np.float32)
+    for k in range(parts):
+        fill_normals(out, k * part)
+        counts += np.histogram(out, edges)[0]
+        for limit in beyond:
+            beyond[limit] += int(np.sum(np.abs(out) > limit))
+    # Kolmogorov's statistic at the edges is at most the one over all points: its bound for p = 1e-3 is 1.95/sqrt(n)
+    assert np.max(np.abs(np.cumsum(counts) / n - np.arange(1, cells + 1) / cells)) < 1.95 / np.sqrt(n)
+    assert stats.chisquare(counts).pvalue > 1e-3
+    for limit, count in beyond.items():
+        expected = n * 2 * stats.norm.sf(limit)
+        assert stats.poisson.sf(count - 1, expected) > 1e-3
+        assert stats.poisson.cdf(count, expected) > 1e-3
+
+
+def test_largest_normal():
 
     @njit
     def largest():

@@ -20,9 +20,9 @@ coordinate of a uniform point on a sphere of dimension 2 alpha. Both parts keep 
 The kick comes at one of two instants, the Gauss-Legendre points of the substep, chosen at random. The three free numbers
 (both rotations and g) are set so that the conditional mean of (Z, U) over a substep is that of the equation. So for every
 alpha > 0, at any substep, the stationary law is the exact one (to the table's interpolation: below 2e-4 in the distribution
-function, as seen with 10^7 roads), Z^2 + U^2 <= r0^2 always, and the autocovariance of the samples is exact at every lag. Approximate, of first weak
-order in the angle a substep: how fast higher moments relax. The increments are not Gaussian, so no convergence along a given
-Brownian path is claimed.
+function, as seen with 10^7 roads), Z^2 + U^2 <= r0^2 always, and the autocovariance of the samples is exact at every lag.
+Approximate, of first weak order in the angle a substep: how fast higher moments relax. The increments are not Gaussian, so no
+convergence along a given Brownian path is claimed.
 
 On an ellipse z0 != u0 the drift carries the path outside, where V^2 is taken as max(V^2, 0): there U only decays. The same
 three steps then split the equation symmetrically, with an error of second order in the angle; (11) and (12) do not hold, and
