@@ -1,4 +1,4 @@
-"""The command line: ``roadgym train``, ``roadgym evaluate``, ``roadgym compare`` and ``roadgym certify``.
+"""The command line: ``roadgym train``, ``evaluate``, ``compare``, ``certify``, ``benchmark``, ``figures`` and ``errata``.
 
 Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument or an unusable folder (one line says which),
 130 interrupted.
@@ -100,6 +100,18 @@ def make_parser() -> argparse.ArgumentParser:
     benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
     benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
     benchmark.add_argument("--output", metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it")
+
+    figures = _command(
+        commands, "figures", run_figures, "draw figures 2 to 14 of the paper, with data", "roadgym figures --output figures"
+    )
+    figures.add_argument("--output", required=True, metavar="DIR", help="folder of the pictures (PNG) and their data (CSV)")
+    figures.add_argument("--only", type=int, nargs="+", metavar="N", help="figures to draw (2 to 14)")
+    figures.add_argument("--full", action="store_true", help="simulate Fig. 7 with all the paper's samples (half a minute)")
+
+    errata = _command(
+        commands, "errata", run_errata, "simulate what the paper has wrong, with both formulas", "roadgym errata --only forcing"
+    )
+    errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
     return parser
 
 
@@ -359,6 +371,29 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
         write_atomically(path, json.dumps(content, indent=2) + "\n")
         if rows:
             draw_scaling(rows, path.with_suffix(".png"))
+
+
+def run_figures(chosen: argparse.Namespace) -> None:
+    """``roadgym figures``."""
+    from analysis.figures import write
+
+    from .progress import work_progress
+
+    with work_progress() as report:
+        files = write(chosen.output, chosen.only, full=chosen.full, report=report)
+    for file in files:
+        print(file)
+
+
+def run_errata(chosen: argparse.Namespace) -> None:
+    """``roadgym errata``."""
+    from analysis import errata
+
+    from .progress import work_progress
+
+    with work_progress() as report:
+        checks = errata.run(chosen.only, report=report)
+    print(errata.table(checks))
 
 
 def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]) -> bool:

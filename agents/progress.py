@@ -57,3 +57,14 @@ def evaluation_progress() -> Iterator[Callable[[str, int, int], None]]:
             tell(f"driving {controller}", done, total, "")
 
         yield report
+
+
+@contextlib.contextmanager
+def work_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """A report for `analysis.figures` and `analysis.errata`."""
+    with _bar() as tell:
+
+        def report(what: str, done: int, total: int) -> None:
+            tell(what, done, total, "")
+
+        yield report

@@ -1,5 +1,5 @@
 """What theory says of the plant: densities and spectra of the roads, mean squares and mean amplitudes of the car at constant
-damping, its stability, and the best constant damping.
+damping, its stability, and the best constant damping; and simulation at the paper's scale, as theory's witness.
 
 After W. V. Wedig, "Applied in Non-Linear Vehicle Road Dynamics", ENOC 2020, cited as Wedig (2020). Where its print and its
 derivation disagree, results follow the derivation, and form="printed" gives the print.
@@ -13,12 +13,16 @@ from .optimum import Optimum, optimal_damping
 from .response import MeanSquares, covariance, mean_squares
 from .roads import density, marginal_density, spectral_density
 from .rotating_frame import MomentSystem, mean_amplitude, moment_system
+from .simulation import Estimate, Simulation, Stability, simulate, simulate_stability
 from .stability import critical_noise, lyapunov_exponents, rotation_numbers
 
 __all__ = [
+    "Estimate",
     "MeanSquares",
     "MomentSystem",
     "Optimum",
+    "Simulation",
+    "Stability",
     "covariance",
     "critical_noise",
     "density",
@@ -29,5 +33,7 @@ __all__ = [
     "moment_system",
     "optimal_damping",
     "rotation_numbers",
+    "simulate",
+    "simulate_stability",
     "spectral_density",
 ]

@@ -14,9 +14,9 @@ So neither leakage nor aliasing is a bias, and one formula serves continuous spe
 w(t) being the variance of the phase's random part: sigma^2 t under white noise, sigma^2 (t - (1 - e^(-w_g t))/w_g) under
 low-pass, sigma^2 (1 - e^(-w_g t))/w_g under high-pass noise. Equation numbers are those of Wedig (2020).
 
-*Verdicts.* Each line tests the hypothesis that the plant is right, to within the tolerance it promises. The probability that a
-sound plant fails any line is at most `FALSE_ALARM_RATE`, shared out equally between the lines (Bonferroni's inequality), however
-the lines depend on each other.
+*Verdicts.* Each line tests the hypothesis that the plant is right, to within the tolerance it promises. The probability that
+a sound plant fails any line is at most `FALSE_ALARM_RATE`, shared out equally between the lines (Bonferroni's inequality),
+however the lines depend on each other; means over lanes are taken for normal.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from .roads import marginal_density
 from .sampling import Samples, drive
 
 FALSE_ALARM_RATE = 1e-3  # probability, at most, that a sound plant does not pass
-FEWEST_LANES = 256  # below, a mean over lanes is not normal enough far out in its tails
+FEWEST_LANES = 1024  # below, means of squares over lanes are too skew for the normal law far out in its tails
 ROAD_TOLERANCE = 1e-3  # what rounding and tables may move the figures of a road that is exact in law
 CAR_TOLERANCE = 5e-3  # what the car's scheme promises
 LAW_CELLS = 8192
@@ -56,7 +56,8 @@ class Line:
         name: what it is, with its unit.
         measured: the figure of the simulation.
         expected: that of theory; of a Kolmogorov-Smirnov distance, its mean on a sound plant; of a bound, the bound.
-        standard_error: of the measured figure, from independent lanes; None for a bound, which is exact.
+        standard_error: of measured less expected, from independent lanes; None for a bound, which is exact. On an ellipse the
+            expected figure has an error too, that of the road's variance.
         tolerance: relative bias that a sound plant may have.
         distance: measured less expected, in standard errors; None for a bound.
         p_value: probability of at least this distance, in either direction, on a plant whose bias is the tolerance (of a
@@ -186,27 +187,30 @@ def certify(
     }
     own, slow, fast = samples[1.0], samples[0.5], samples[2.0]
 
-    lines = [_moment("variance of the level (m^2)", own.level_square, road.variance)]
+    uncertainty = road.variance_standard_error / road.variance if isinstance(road, MultiplicativeRoad) else 0.0
+    lines = [_moment("variance of the level (m^2)", own.level_square, road.variance, uncertainty=uncertainty)]
     left_out = []
     if road.has_slope:
-        lines.append(_moment("variance of the slope (m^2)", own.slope_square, road.variance))
+        lines.append(_moment("variance of the slope (m^2)", own.slope_square, road.variance, uncertainty=uncertainty))
     try:
         for factor, chosen in speeds.items():
             expected = expected_periodogram(samples[factor], road, speed_noise, factor * speed, chosen)
-            lines += [
-                _moment(f"spectral density at {factor * speed:g} m/s, {ratio * factor * turn:.4g} rad/s (m^2 s)", found, figure)
-                for ratio, found, figure in zip(chosen, samples[factor].periodogram, expected, strict=True)
-            ]
+            for ratio, found, figure in zip(chosen, samples[factor].periodogram, expected.tolist(), strict=True):
+                name = f"spectral density at {factor * speed:g} m/s, {ratio * factor * turn:.4g} rad/s (m^2 s)"
+                lines.append(_moment(name, found, figure, uncertainty=uncertainty))
     except ParameterError as error:
         left_out.append(f"spectral density ({error})")
     lines += _law_lines(road, own, slow, fast, left_out)
     try:
+        if speed_noise is not None and not isinstance(road, HarmonicRoad):
+            raise ParameterError(_no_closed_form(road, speed_noise))
         theory = mean_squares(road, speed_noise, damping=damping, speed=speed, natural_frequency=natural_frequency)
-        for name, found in zip(MEAN_SQUARES, own.mean_squares, strict=True):
-            if np.isfinite(figure := float(getattr(theory, name))):
-                lines.append(_moment(f"mean square of the {name.replace('_', ' ')} (m^2)", found, figure, CAR_TOLERANCE))
+        for term, found in zip(MEAN_SQUARES, own.mean_squares, strict=True):
+            name, figure = f"mean square of the {term.replace('_', ' ')}", float(getattr(theory, term))
+            if math.isfinite(figure):
+                lines.append(_moment(f"{name} (m^2)", found, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
             else:
-                left_out.append(f"mean square of the {name.replace('_', ' ')} (infinite on this plant)")
+                left_out.append(f"{name} (infinite on this plant)")
     except ParameterError as error:
         left_out.append(f"mean squares of the car ({error})")
 
@@ -244,7 +248,7 @@ def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLik
     if isinstance(road, HarmonicRoad):
         return road.variance * np.cos(angle) * np.exp(-_phase_variance(speed_noise, t) / 2)
     if speed_noise is not None:
-        raise ParameterError(f"with {speed_noise.kind} noise there is no closed form on a {road.kind} road")
+        raise ParameterError(_no_closed_form(road, speed_noise))
     if isinstance(road, FirstOrderRoad):
         return road.variance * np.exp(-angle)
     if isinstance(road, (GaussianRoad, MultiplicativeRoad)):
@@ -255,6 +259,10 @@ def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLik
         decay = (first * np.exp(second * angle) - second * np.exp(first * angle)) / (first - second)
         return np.asarray(road.variance * decay.real)
     raise ParameterError(f"none is known for a {road.kind} road")
+
+
+def _no_closed_form(road: Road, speed_noise: SpeedNoise) -> str:
+    return f"with {speed_noise.kind} noise there is no closed form on a {road.kind} road"
 
 
 def _phase_variance(speed_noise: SpeedNoise | None, time: FloatArray) -> FloatArray:
@@ -296,6 +304,8 @@ def level_distribution(road: Road, level: npt.ArrayLike) -> FloatArray:
         ParameterError: a road whose density is not known.
     """
     if isinstance(road, MultiplicativeRoad):
+        if not road.is_circle:
+            raise ParameterError("none is known on an ellipse")
         bound = road.level_bound
     else:
         bound = road.amplitude if isinstance(road, HarmonicRoad) else 12 * math.sqrt(road.variance)
@@ -326,21 +336,27 @@ def _law_lines(road: Road, own: Samples, slow: Samples, fast: Samples, left_out:
     ratio = fast.level_square.mean() / mean
     terms = ratio + (fast.level_square - ratio * slow.level_square) / mean
     lines.append(_moment("variance at double over half speed", terms, 1.0))
-    if isinstance(road, MultiplicativeRoad):
+    if isinstance(road, MultiplicativeRoad) and road.is_circle:
         bound = road.level_bound**2
         largest = own.largest_square / bound
-        passed = largest <= 1 + 8 * np.finfo(np.float64).eps  # the rounding of the ratio itself
+        passed = bool(largest <= 1 + 8 * np.finfo(np.float64).eps)  # the rounding of the ratio itself
         lines.append(Line(name="largest (Z^2 + U^2)/r0^2, at most 1", measured=largest, expected=1.0, passed=passed))
     return lines
 
 
-def _moment(name: str, figures: FloatArray, expected: float, tolerance: float = ROAD_TOLERANCE) -> Line:
-    """The mean of independent figures, shape (lanes,), against what is expected, which is positive."""
+def _moment(
+    name: str, figures: FloatArray, expected: float, *, tolerance: float = ROAD_TOLERANCE, uncertainty: float = 0.0
+) -> Line:
+    """The mean of independent figures, shape (lanes,), against what is expected, which is positive.
+
+    ``uncertainty`` is the relative standard error of what is expected.
+    """
     from scipy.stats import norm
 
     measured = float(figures.mean())
-    # on the harmonic road a figure may be the same in every lane, to rounding
-    error = max(float(figures.std(ddof=1)) / math.sqrt(figures.size), float(np.finfo(np.float64).eps) * expected)
+    # on the harmonic road a figure may be the same in every lane, but for rounding
+    least = max(uncertainty, float(np.finfo(np.float64).eps)) * expected
+    error = math.hypot(float(figures.std(ddof=1)) / math.sqrt(figures.size), least)
     difference, allowed = measured - expected, tolerance * expected
     return Line(
         name=name,

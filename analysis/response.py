@@ -17,12 +17,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, positive
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, non_negative_array, positive_array
 from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares
+from .simulation import driven_mean_squares
+
+RELATIVE_ERROR = 3e-3  # standard error over the mean, of what is simulated
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,6 +39,7 @@ class MeanSquares:
         acceleration: E (Y''/w1^2)^2.
         travel: E (Y - Z)^2.
         relative_velocity: E ((Y' - Z')/w1)^2.
+        standard_error: standard errors of the five, m^2, where they come from simulation; None where they are exact.
     """
 
     displacement: FloatArray
@@ -42,6 +47,7 @@ class MeanSquares:
     acceleration: FloatArray
     travel: FloatArray
     relative_velocity: FloatArray
+    standard_error: MeanSquares | None = None
 
 
 def mean_squares(
@@ -52,11 +58,15 @@ def mean_squares(
     speed: npt.ArrayLike,
     natural_frequency: float = 1.0,
     bandwidth: npt.ArrayLike | None = None,
+    relative_error: float = RELATIVE_ERROR,
 ) -> MeanSquares:
     """Stationary mean squares at constant damping; (3), (6), (16), (17) of Wedig (2020) and their companions.
 
     Exact on every road, and under speed noise on the harmonic road: to rounding without low-pass noise, and with it to 1e-10 of
     each mean square for D <= 5, however slow, fast or weak it is. Of a multiplicative road only variance and bandwidth enter.
+
+    Low-pass noise on a random road has no closed form: there the plant itself is driven, a second or so for each operating
+    point, and the result has a standard error. The noise has a fixed seed, so the same call gives the same numbers.
 
     Args:
         road: a road, or its name or mapping.
@@ -65,12 +75,13 @@ def mean_squares(
         speed: mean speed v >= 0, m/s, any shape that broadcasts.
         natural_frequency: w1, rad/s.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts; second-order roads.
+        relative_error: standard error over the mean, 1, at which a simulation ends.
 
     Returns:
         The five mean squares, m^2; infinite where they diverge because the road's rate of change contains white noise.
 
     Raises:
-        ParameterError: a value out of range, or low-pass noise on a random road, for which there is no closed form.
+        ParameterError: a value out of range.
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
@@ -84,9 +95,10 @@ def mean_squares(
         arrays["bandwidth"] = np.asarray(road.bandwidth)
     damping, speed, *rest = broadcast(**arrays)
     ratio = speed * (road.wavenumber / natural_frequency)
-    if speed_noise is not None and not isinstance(road, HarmonicRoad):
-        raise ParameterError(
-            f"speed_noise must be None on a {road.kind} road: with {speed_noise.kind} noise there is no closed form"
+    if needs_simulation(road, speed_noise):
+        bandwidths = rest[0] if bandwidth is not None else None
+        return _simulated(
+            road, speed_noise, damping, speed, natural_frequency, bandwidths, positive("relative_error", relative_error)
         )
     if isinstance(road, HarmonicRoad):
         p0, p1, p2, p3 = filter_mean_squares(speed_noise, damping, ratio, natural_frequency)
@@ -105,6 +117,31 @@ def mean_squares(
         travel=road.variance * p2,
         relative_velocity=road.variance * p3,
     )
+
+
+def needs_simulation(road: Road, speed_noise: SpeedNoise | None) -> bool:
+    """Is there no closed form, that is, does noise on the speed drive a random road?"""
+    return speed_noise is not None and not isinstance(road, HarmonicRoad)
+
+
+def _simulated(
+    road: Road,
+    speed_noise: SpeedNoise | None,
+    damping: FloatArray,
+    speed: FloatArray,
+    natural_frequency: float,
+    bandwidth: FloatArray | None,
+    relative_error: float,
+) -> MeanSquares:
+    """Mean squares with standard errors, one simulation for each operating point."""
+    result = np.empty((2, len(MEAN_SQUARES), *damping.shape))
+    for index in np.ndindex(damping.shape):
+        here = road if bandwidth is None else road.with_bandwidth(float(bandwidth[index]))
+        result[:, :, *index] = driven_mean_squares(
+            here, speed_noise, float(damping[index]), float(speed[index]), natural_frequency, relative_error
+        )
+    means, errors = (dict(zip(MEAN_SQUARES, part, strict=True)) for part in result)
+    return MeanSquares(**means, standard_error=MeanSquares(**errors))
 
 
 def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray) -> MeanSquaresOfFilter:

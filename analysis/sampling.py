@@ -20,6 +20,7 @@ from roadgym.speed import SpeedNoise
 from roadgym.task import LARGEST_ANGLE, make_task
 
 from .checks import FloatArray
+from .phase_noise import slowest_decay
 
 RECORD_ANGLE = 100.0  # rad that the slower of road and car turns in the record
 SETTLED = 8.0  # times the slowest time constant before the record: e^-8 of a start at rest is left
@@ -85,15 +86,15 @@ def drive(
     )
     plant = Plant(task, lanes)
     everyone = np.ones(lanes, np.bool_)
-    plant.seed(np.random.SeedSequence(seed).generate_state(lanes, np.uint64), everyone)
+    plant.seed(np.random.SeedSequence(seed).generate_state(lanes, np.uint64).astype(np.uint64), everyone)
     plant.reset(plant.forced({}), everyone)
 
     # The road starts in its stationary law; only one whose law is wrong needs the time to show it.
-    memories = [1 / (slowest_decay(damping) * natural_frequency)]
+    memories = [1 / (_decay(damping) * natural_frequency)]
     if road.kind == "first_order":
         memories.append(1 / turn)
     elif task.bandwidth[0] > 0:
-        memories.append(1 / (slowest_decay(task.bandwidth[0]) * turn))
+        memories.append(1 / (_decay(task.bandwidth[0]) * turn))
     interval = task.control_interval
     skipped = math.ceil(SETTLED * max(memories) / interval)
     measured = math.ceil(RECORD_ANGLE / min(turn, natural_frequency) / interval)
@@ -129,7 +130,6 @@ def drive(
     )
 
 
-def slowest_decay(damping: float) -> float:
-    """Rate at which x'' + 2 D x' + x = 0 decays in the end: D, or D - sqrt(D^2 - 1) beyond D = 1."""
-    above = max(damping, 1.0)
-    return min(damping, 1 / (above + math.sqrt((above - 1) * (above + 1))))
+def _decay(damping: float) -> float:
+    """Rate at which x'' + 2 D x' + x = 0 decays in the end."""
+    return float(slowest_decay(np.asarray(damping)))

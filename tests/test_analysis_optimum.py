@@ -100,7 +100,7 @@ def test_a_fixed_damping_and_a_flat_cost() -> None:
         ({"road": "gaussian", "bounds": (1.0, 0.5)}, "low <= high"),
         ({"road": "gaussian", "bounds": (0.1, math.inf)}, "bounds, high end, must be finite"),
         ({"road": "gaussian", "speed": -1.0}, "speed must be zero or above"),
-        ({"road": "gaussian", "speed_noise": "low_pass"}, "speed_noise must be None on a gaussian road"),
+        ({"road": "gaussian", "speed_noise": "low_pass", "relative_error": -1.0}, "relative_error must be positive"),
         ({"road": "harmonic", "bandwidth": 0.2}, "bandwidth must be None"),
     ],
 )

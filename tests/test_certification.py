@@ -1,0 +1,431 @@
+"""The certificate: sound plants pass, deliberately wrong ones fail on the line that is theirs, and its theory is right."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from plants import PLANTS, plant_name
+from scipy import integrate, stats
+
+import analysis
+from agents.cli import main
+from analysis.certification import (
+    FALSE_ALARM_RATE,
+    autocovariance,
+    certify,
+    expected_periodogram,
+    level_distribution,
+)
+from analysis.sampling import Samples
+from roadgym import (
+    FirstOrderRoad,
+    GaussianRoad,
+    HarmonicRoad,
+    HighPassSpeedNoise,
+    LowPassSpeedNoise,
+    MultiplicativeRoad,
+    ParameterError,
+    WhiteSpeedNoise,
+)
+from roadgym.compiled import (
+    BANDWIDTH,
+    COEFFICIENT,
+    LANES,
+    LEVEL,
+    LEVEL_EXCESS,
+    RATE,
+    SLOPE,
+    SPEED,
+    TURN,
+    TURN_EXCESS,
+    TURN_VARIANCE,
+    LaneFunction,
+)
+from roadgym.noise import normal_pair
+from roadgym.roads import gaussian
+from roadgym.roads.gaussian import oscillator
+from roadgym.roads.multiplicative import CURVE, SHAPE, SQUARE_CHORD
+from roadgym.speed import FACTOR, INTERVAL, VARIANCE
+
+FEW = 2048  # lanes, enough for the faults below
+
+
+def failures(certificate):
+    return [line.name for line in certificate.lines if not line.passed]
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("plant", PLANTS, ids=plant_name)
+def test_sound_plants_pass(plant):
+    certificate = certify(**plant, speed=1.3, lanes=FEW)
+    assert not failures(certificate)
+    assert certificate.passed
+    names = " ".join(line.name for line in certificate.lines)
+    closed = plant["speed_noise"] is None or plant["road"] == "harmonic"
+    for wanted, where in (
+        ("variance of the level", True),
+        ("variance of the slope", plant["road"] != "first_order"),
+        ("spectral density", closed),
+        ("law of the level", True),
+        ("law at double against half speed", True),
+        ("at most 1", plant["road"] == "multiplicative"),
+        ("mean square of the displacement", closed),
+        (
+            "mean square of the acceleration",
+            closed and plant["road"] != "first_order" and plant["speed_noise"] in (None, "low_pass"),
+        ),
+    ):
+        assert (wanted in names) == where
+    assert ("spectral density" in " ".join(certificate.left_out)) == (not closed)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(
+    ("road", "speed_noise"),
+    [
+        (MultiplicativeRoad.from_shape(shape=0.3, bandwidth=0.6, level_bound=0.1, wavenumber=0.4), None),
+        (MultiplicativeRoad(bandwidth=0.6, noise_intensity=0.1, level_bound=0.1, slope_bound=0.2, wavenumber=0.4), None),
+        (GaussianRoad(bandwidth=1.0, noise_intensity=0.01, wavenumber=0.2), None),
+        (HarmonicRoad(amplitude=0.05, wavenumber=0.3), HighPassSpeedNoise(intensity=3.0, corner_frequency=5.0)),
+    ],
+)
+def test_sound_plants_pass_in_other_units(road, speed_noise):
+    # a natural frequency of 8 rad/s, a speed in m/s, a road of centimetres
+    assert not failures(certify(road, speed_noise, speed=20.0, damping=0.4, natural_frequency=8.0, lanes=1024))
+
+
+# ---------------------------------------------------------------------- deliberately wrong plants
+
+
+@LaneFunction
+def prepare_noise_by_the_step(lanes, words, table):
+    """The Gaussian road's transition with its noise scaled by the step instead of the step's root."""
+    for i in range(LANES):
+        angle = np.float64(lanes[TURN + i])
+        a, b, d = oscillator(angle, np.float64(lanes[BANDWIDTH + i]))
+        scale = math.sqrt(angle)
+        level = math.sqrt(max(1.0 - a * a - b * b, 1e-300))
+        shared = b * (a - d) / level
+        lanes[gaussian.A + i], lanes[gaussian.B + i], lanes[gaussian.D + i] = a, b, d
+        lanes[gaussian.LEVEL_NOISE + i] = level * scale
+        lanes[gaussian.SHARED_NOISE + i] = shared * scale
+        lanes[gaussian.SLOPE_NOISE + i] = math.sqrt(max(1.0 - b * b - d * d - shared * shared, 0.0)) * scale
+
+
+class NoiseByTheStep(GaussianRoad):
+    prepare = prepare_noise_by_the_step
+
+
+@LaneFunction
+def prepare_by_time(lanes, words, table):
+    """The Gaussian road's transition over the time of the substep, its noise still that of the distance."""
+    for i in range(LANES):
+        time = np.float64(lanes[TURN + i]) / np.float64(lanes[SPEED + i])
+        a, b, d = oscillator(time, np.float64(lanes[BANDWIDTH + i]))
+        scale = math.sqrt(np.float64(lanes[SPEED + i])) if table[0] > 0.0 else 1.0
+        level = math.sqrt(max(1.0 - a * a - b * b, 1e-300))
+        shared = b * (a - d) / level
+        lanes[gaussian.A + i], lanes[gaussian.B + i], lanes[gaussian.D + i] = a, b, d
+        lanes[gaussian.LEVEL_NOISE + i] = level * scale
+        lanes[gaussian.SHARED_NOISE + i] = shared * scale
+        lanes[gaussian.SLOPE_NOISE + i] = math.sqrt(max(1.0 - b * b - d * d - shared * shared, 0.0)) * scale
+
+
+class DriftByTime(GaussianRoad):
+    """Noise by distance, drift by time: the law depends on the speed."""
+
+    prepare = prepare_by_time
+
+    def table(self):
+        return np.ones(1)
+
+
+class AllByTime(GaussianRoad):
+    """Noise and drift by time: the law is right at every speed, the spectrum only at speed 1."""
+
+    prepare = prepare_by_time
+
+
+@LaneFunction
+def prepare_double_corner(lanes, words, table):
+    """The first-order road at twice its corner frequency, the area left out."""
+    for i in range(LANES):
+        keep = math.exp(-2.0 * np.float64(lanes[TURN + i]))
+        lanes[COEFFICIENT + i] = keep
+        lanes[COEFFICIENT + LANES + i] = math.sqrt(1.0 - keep * keep)
+        lanes[COEFFICIENT + 2 * LANES + i] = 0.0
+        lanes[COEFFICIENT + 3 * LANES + i] = 0.0
+        lanes[COEFFICIENT + 4 * LANES + i] = 0.0
+
+
+class DoubleCorner(FirstOrderRoad):
+    prepare = prepare_double_corner
+
+
+class DoubleCornerNoise(LowPassSpeedNoise):
+    @property
+    def rates(self):
+        return 2 * self.corner_frequency, 2 * self.corner_frequency, 0.0
+
+
+@LaneFunction
+def advance_stratonovich(lanes, words, table):
+    """Rotate, kick on the sphere, rotate, by Stratonovich's calculus; table[CURVE] is 1 with Ito's correction of the drift."""
+    for i in range(LANES):
+        first, _ = normal_pair(words[i], words[LANES + i])
+        angle, bandwidth = np.float64(lanes[TURN + i]), np.float64(lanes[BANDWIDTH + i])
+        a, b, d = oscillator(0.5 * angle, bandwidth * (1.0 - table[CURVE] * 0.5 / table[SHAPE]))
+        kick = math.sqrt(2.0 * bandwidth * angle / table[SHAPE]) * first
+        old_u = lanes[SLOPE + i]
+        z = a * lanes[LEVEL + i] + b * old_u
+        u = d * old_u - b * lanes[LEVEL + i]
+        u = u * math.cos(kick) + math.sqrt(max(table[SQUARE_CHORD] - z * z - u * u, 0.0)) * math.sin(kick)
+        lanes[LEVEL + i] = a * z + b * u
+        lanes[SLOPE + i] = d * u - b * z
+        lanes[LEVEL_EXCESS + i] = angle * (old_u - lanes[SLOPE + i]) / 12.0
+
+
+@LaneFunction
+def advance_euler(lanes, words, table):
+    """Euler and Maruyama's scheme, the noise cut off outside the circle."""
+    for i in range(LANES):
+        first, _ = normal_pair(words[i], words[LANES + i])
+        angle, bandwidth = lanes[TURN + i], lanes[BANDWIDTH + i]
+        z, u = lanes[LEVEL + i], lanes[SLOPE + i]
+        free = max(table[SQUARE_CHORD] - z * z - u * u, 0.0)
+        lanes[LEVEL + i] = z + angle * u
+        lanes[SLOPE + i] = (
+            u - angle * (2.0 * bandwidth * u + z) + math.sqrt(2.0 * bandwidth * angle / table[SHAPE] * free) * first
+        )
+        lanes[LEVEL_EXCESS + i] = angle * (u - lanes[SLOPE + i]) / 12.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Stratonovich(MultiplicativeRoad):
+    """A sound scheme with the correction, and without it the most usual of all mistakes."""
+
+    corrected: bool = True
+
+    words_per_substep = 2
+    precision = "float64"
+    advance = advance_stratonovich
+
+    def table(self):
+        return np.array([*super().table()[:CURVE], float(self.corrected)])
+
+
+class Euler(Stratonovich):
+    advance = advance_euler
+
+
+@LaneFunction
+def advance_shifted(lanes, words, table):
+    """White phase noise whose mean rate is sigma^2/2 too high: the correction that this equation does not need."""
+    for i in range(LANES):
+        _, second = normal_pair(words[i], words[LANES + i])
+        lanes[TURN_EXCESS + i] = 0.0
+        lanes[TURN_VARIANCE + i] = table[VARIANCE]
+        lanes[TURN + i] = lanes[SPEED + i] * table[INTERVAL] + table[FACTOR + 2] * second + 0.5 * table[VARIANCE]
+        lanes[RATE + i] = lanes[SPEED + i]
+
+
+class ShiftedWhiteNoise(WhiteSpeedNoise):
+    advance = advance_shifted
+
+
+WRONG = {
+    "noise scaled by the step": (NoiseByTheStep(bandwidth=0.3), None, ["variance of the level", "variance of the slope"]),
+    "drift by time": (DriftByTime(bandwidth=0.3), None, ["variance at double over half speed", "law at double against half"]),
+    "all by time": (AllByTime(bandwidth=0.3), None, ["spectral density at 0.5 m/s", "spectral density at 2 m/s"]),
+    "double corner of the road": (DoubleCorner(), None, ["spectral density at 1 m/s", "mean square of the displacement"]),
+    "double corner of the noise": ("harmonic", DoubleCornerNoise(intensity=0.5), ["spectral density at 1 m/s, 2 rad/s"]),
+    "Ito's correction left out": (
+        Stratonovich(corrected=False),
+        None,
+        ["variance of the level", "spectral density at 1 m/s, 1 rad/s", "mean square of the displacement"],
+    ),
+    "mean frequency shifted": ("harmonic", ShiftedWhiteNoise(intensity=0.5), ["spectral density at 1 m/s, 1 rad/s"]),
+    "out of the circle": (Euler(), None, ["at most 1", "law of the level"]),
+}
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("fault", list(WRONG))
+def test_wrong_plants_fail_on_their_line(fault):
+    road, speed_noise, lines = WRONG[fault]
+    certificate = certify(road, speed_noise, lanes=FEW)
+    assert not certificate.passed
+    assert "NOT certified" in certificate.table()
+    failed = failures(certificate)
+    for line in lines:
+        assert any(name.startswith(line) or name.endswith(line) for name in failed)
+
+
+@pytest.mark.statistical
+def test_another_sound_scheme_passes():
+    # the twin of the fault above: the certificate judges the law, not the code
+    assert not failures(certify(Stratonovich(), lanes=FEW))
+    # faults that leave the law of the level alone are found by other lines
+    assert not any("law" in name for name in failures(certify(AllByTime(bandwidth=0.3), lanes=FEW)))
+
+
+# ---------------------------------------------------------------------- the theory behind the lines
+
+
+@pytest.mark.parametrize(
+    "road",
+    [
+        FirstOrderRoad(noise_intensity=0.4, wavenumber=0.7),
+        *(GaussianRoad(bandwidth=delta, noise_intensity=0.4, wavenumber=0.7) for delta in (0.2, 1.0, 2.5)),
+        MultiplicativeRoad(bandwidth=0.3, wavenumber=0.7),
+    ],
+)
+def test_autocovariance_and_spectral_density_are_a_pair(road):
+    speed = 1.7
+    assert autocovariance(road, None, 0.0, speed=speed) == pytest.approx(road.variance)
+    for frequency in (0.4, 1.19, 3.0):
+        both = integrate.quad(lambda t: autocovariance(road, None, t, speed=speed), 0, np.inf, weight="cos", wvar=frequency)
+        assert 2 * both[0] == pytest.approx(float(analysis.spectral_density(road, frequency, speed=speed)), rel=1e-6)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.3, 2.0, 15.0])
+def test_autocovariance_under_phase_noise_is_the_sum_of_its_lines(lag):
+    # the exact series in sigma^2/(2 w_g): of decaying exponentials, with Poisson weights of either sign
+    road, intensity, corner = HarmonicRoad(amplitude=1.3, wavenumber=0.7), 0.6, 0.5
+    mean = intensity**2 / (2 * corner)
+    order = np.arange(60)
+    power = np.cumprod(np.concatenate([[1.0], mean / order[1:]]))
+    high = np.sum(power * np.exp(-mean - order * corner * lag))
+    low = np.sum(power * (-1.0) ** order * np.exp(mean - (intensity**2 / 2 + order * corner) * lag))
+    for noise, decay in (
+        (None, 1.0),
+        (WhiteSpeedNoise(intensity=intensity), np.exp(-(intensity**2) * lag / 2)),
+        (LowPassSpeedNoise(intensity=intensity, corner_frequency=corner), low),
+        (HighPassSpeedNoise(intensity=intensity, corner_frequency=corner), high),
+    ):
+        expected = road.variance * np.cos(1.1 * 0.7 * lag) * decay
+        assert autocovariance(road, noise, lag, speed=1.1) == pytest.approx(expected, rel=1e-9)
+
+
+def test_expected_periodogram_tends_to_the_spectral_density():
+    road, interval, ratios = GaussianRoad(bandwidth=0.2, noise_intensity=1.0), 0.1, (0.5, 1.0, 2.0)
+    exact = analysis.spectral_density(road, np.array(ratios), speed=1.0)
+    errors = []
+    for times in (1000, 4000):
+        nothing = np.zeros(0)
+        samples = Samples(
+            level_square=nothing,
+            slope_square=nothing,
+            level=nothing,
+            largest_square=0.0,
+            periodogram=nothing,
+            mean_squares=nothing,
+            window=np.hanning(times + 2)[1:-1],
+            interval=interval,
+        )
+        errors.append(np.abs(expected_periodogram(samples, road, None, 1.0, ratios) / exact - 1))
+    assert np.all(errors[0] < 0.05)
+    assert np.all(errors[1] < 0.005)
+
+
+@pytest.mark.parametrize(
+    ("road", "law"),
+    [
+        (HarmonicRoad(amplitude=1.4), stats.arcsine(-1.4, 2.8)),
+        (FirstOrderRoad(noise_intensity=0.3), stats.norm(scale=0.3 / math.sqrt(2))),
+        (GaussianRoad(bandwidth=0.1, noise_intensity=0.3), stats.norm(scale=0.3 / math.sqrt(0.4))),
+        *(
+            (MultiplicativeRoad.from_shape(shape=shape, level_bound=0.9), stats.beta(shape + 0.5, shape + 0.5, -0.9, 1.8))
+            for shape in (0.1, 0.5, 3.0, 50.0)
+        ),
+    ],
+)
+def test_level_distribution_is_the_law(road, law):
+    level = np.linspace(-1.5, 1.5, 1001)
+    np.testing.assert_allclose(level_distribution(road, level), law.cdf(level), atol=1e-4)
+
+
+# ---------------------------------------------------------------------- the certificate itself
+
+
+def test_the_same_seed_gives_the_same_certificate_and_another_one_another():
+    first, again, other = (certify("gaussian", lanes=1024, seed=seed) for seed in (3, 3, 4))
+    assert first == again
+    assert first.lines[0].measured != other.lines[0].measured
+
+
+def test_lines_carry_their_verdict():
+    certificate = certify("multiplicative", lanes=1024)
+    tested = [line for line in certificate.lines if line.p_value is not None]
+    assert certificate.level == pytest.approx(FALSE_ALARM_RATE / len(tested))
+    for line in tested:
+        assert line.passed == (line.p_value >= certificate.level)
+        assert line.distance == pytest.approx((line.measured - line.expected) / line.standard_error)
+    (bound,) = (line for line in certificate.lines if line.p_value is None)
+    assert bound.passed
+    assert bound.measured <= bound.expected == 1.0
+
+
+def test_table_and_json_say_the_same():
+    certificate = certify("first_order", lanes=1024)
+    table, data = certificate.table(), json.loads(certificate.to_json())
+    assert data["passed"] is certificate.passed
+    assert [line["name"] for line in data["lines"]] == [line.name for line in certificate.lines]
+    rows = table.splitlines()[3 : 3 + len(certificate.lines)]
+    assert len({len(row) for row in rows}) == 1  # aligned
+    for row, line in zip(rows, certificate.lines, strict=True):
+        assert row.startswith(line.name)
+        assert row.endswith("pass" if line.passed else "FAIL")
+    assert "Left out: mean square of the acceleration (infinite on this plant)." in table
+
+
+def test_reports_end_where_the_work_ends():
+    reports = []
+    certify("first_order", speed=2.0, lanes=1024, report=lambda *told: reports.append(told))
+    assert {told[0] for told in reports} == {"at 1 m/s", "at 2 m/s", "at 4 m/s"}
+    for what in ("at 1 m/s", "at 2 m/s", "at 4 m/s"):
+        done = [told[1] for told in reports if told[0] == what]
+        (total,) = {told[2] for told in reports if told[0] == what}
+        assert done == sorted(done)
+        assert done[-1] == total
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"road": "gravel"}, "unknown road 'gravel'"),
+        ({"road": "gaussian", "speed_noise": "white"}, "white speed noise is defined on the harmonic road only"),
+        ({"road": "gaussian", "speed": -1.0}, "speed must be positive, got -1.0"),
+        ({"road": "gaussian", "damping": 0.0}, "damping must be positive, got 0.0"),
+        ({"road": "gaussian", "natural_frequency": "high"}, "natural_frequency must be a number, got 'high'"),
+        ({"road": "gaussian", "seed": -1}, "seed must be at least 0, got -1"),
+        ({"road": "gaussian", "lanes": 1023}, "lanes must be at least 1024 to have a standard error, got 1023"),
+    ],
+)
+def test_bad_input_is_refused_by_name(parameters, message):
+    with pytest.raises(ParameterError, match=message):
+        certify(**parameters)
+
+
+# ---------------------------------------------------------------------- roadgym certify
+
+
+def test_command_prints_the_table_and_succeeds(capsys):
+    assert main(["certify", "--road", "first_order", "--lanes", "1024", "--speed", "2", "--damping", "0.5", "--seed", "1"]) == 0
+    assert capsys.readouterr().out == certify("first_order", speed=2.0, damping=0.5, seed=1, lanes=1024).table() + "\n"
+
+
+def test_command_prints_json_and_says_1_where_the_plant_fails(capsys, monkeypatch):
+    arguments = ["certify", "--road", "harmonic", "--speed-noise", '{"kind": "white", "intensity": 0.5}', "--lanes", "1024"]
+    assert main([*arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["passed"] is True
+    monkeypatch.setattr(WhiteSpeedNoise, "advance", advance_shifted)
+    assert main([*arguments, "--lanes", str(FEW)]) == 1
+    assert "FAIL" in capsys.readouterr().out
+
+
+def test_command_refuses_in_one_line(capsys):
+    assert main(["certify", "--road", "gaussian", "--lanes", "3"]) == 2
+    assert capsys.readouterr().err == "roadgym certify: lanes must be at least 1024 to have a standard error, got 3\n"
