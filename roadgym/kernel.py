@@ -6,7 +6,7 @@ Data flow of one control interval, for each block of LANES lanes (see `roadgym.c
 2. draw all random words of the interval, a pure function of (seed, episode, step);
 3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, the squares add up;
 4. observe, add up the reward from the mean squares, count the step;
-5. lanes whose episode is over start anew: all lanes of the block are started aside, and those due are copied over.
+5. lanes whose episode is over start anew, one by one.
 
 What differs between plants is only which lane functions are called, by address, and how many words they take. Nothing depends
 on how blocks are shared out between threads. The integers and numbers that describe a plant are two arrays, indexed by the
@@ -31,15 +31,13 @@ from .compiled import (
     SLOPE,
     SPEED,
     TURN,
-    TURN_EXCESS,
-    TURN_VARIANCE,
     VELOCITY,
     LaneFunction,
     call,
     compiled,
     like,
 )
-from .noise import INTERVAL, START, WARM_UP, uniform
+from .noise import INTERVAL, START, WARM_UP, philox, uniform
 
 # integers of a plant
 (
@@ -174,7 +172,9 @@ def drive_interval(
     for _ in range(substeps):
         if integers[SPEED_ADVANCE] != 0:
             call(np.uint64(integers[SPEED_ADVANCE]), block, word, speed)
-            call(np.uint64(integers[ROAD_PREPARE]), block, word, road)
+            if integers[ROAD_PREPARE] != 0:
+                for i in range(LANES):
+                    call(np.uint64(integers[ROAD_PREPARE]), block + np.uint64(lanes.itemsize * i), word, road)
             word += np.uint64(4 * LANES * integers[SPEED_WORDS])
         call(np.uint64(integers[ROAD_ADVANCE]), block, word, road)
         call(np.uint64(integers[CAR_FOLLOW]), block, word, own)
@@ -192,9 +192,9 @@ def make_scratch(state: Any, integers: Any, numbers: Any) -> Any:
 
 
 @compiled
-def start_block(
-    fresh: Any,
-    scratch: Any,
+def start_lane(
+    lanes: Any,
+    i: int,
     counters: Any,
     words: Any,
     road_table: Any,
@@ -204,38 +204,35 @@ def start_block(
     forced: Any,
     first: int,
 ) -> None:
-    """Start every lane of a block: operating point, stationary road, car at rest, warm-up.
+    """Start lane ``i`` of a block: operating point, stationary road, car at rest.
 
     ``forced`` has two rows, speed and bandwidth of each environment, or no columns; where it is not NaN it replaces the draw.
     """
-    zero = like(fresh, 0.0)
-    draw_words(words, counters, integers, START, 12)
-    for i in range(LANES):
-        speed = numbers[SPEED_LOW] + (numbers[SPEED_HIGH] - numbers[SPEED_LOW]) * uniform(words[i])
-        bandwidth = numbers[BANDWIDTH_LOW] + (numbers[BANDWIDTH_HIGH] - numbers[BANDWIDTH_LOW]) * uniform(words[LANES + i])
-        if first + i < forced.shape[1]:
-            if not np.isnan(forced[0, first + i]):
-                speed = forced[0, first + i]
-            if not np.isnan(forced[1, first + i]):
-                bandwidth = forced[1, first + i]
-        fresh[SPEED + i] = speed
-        fresh[BANDWIDTH + i] = bandwidth
-        fresh[RATE + i] = speed
-        fresh[TURN + i] = speed * numbers[SUBSTEP]
-        fresh[TURN_EXCESS + i] = zero
-        fresh[TURN_VARIANCE + i] = zero
-        fresh[DISPLACEMENT + i] = zero
-        fresh[VELOCITY + i] = zero
-        scratch[DAMPING + i] = numbers[WARM_UP_DAMPING]
-    block, word, road = fresh.ctypes.data, words.ctypes.data, road_table.ctypes.data
-    call(np.uint64(integers[ROAD_PREPARE]), block, word, road)
-    call(np.uint64(integers[ROAD_START]), block, word + np.uint64(4 * LANES * 4), road)
+    for chunk in range(3):
+        w0, w1, w2, w3 = philox(
+            np.uint32(chunk), np.uint32(0), counters[EPISODE + i], np.uint32(START), counters[KEY + i], counters[KEY + LANES + i]
+        )
+        for k, word in enumerate((w0, w1, w2, w3)):
+            words[(4 * chunk + k) * LANES] = word
+    speed = numbers[SPEED_LOW] + (numbers[SPEED_HIGH] - numbers[SPEED_LOW]) * uniform(words[0])
+    bandwidth = numbers[BANDWIDTH_LOW] + (numbers[BANDWIDTH_HIGH] - numbers[BANDWIDTH_LOW]) * uniform(words[LANES])
+    if first + i < forced.shape[1]:
+        if not np.isnan(forced[0, first + i]):
+            speed = forced[0, first + i]
+        if not np.isnan(forced[1, first + i]):
+            bandwidth = forced[1, first + i]
+    for row in range(0, SIZE, LANES):
+        lanes[row + i] = 0.0
+    lanes[SPEED + i] = speed
+    lanes[BANDWIDTH + i] = bandwidth
+    lanes[RATE + i] = speed
+    lanes[TURN + i] = speed * numbers[SUBSTEP]
+    lane, word, road = lanes.ctypes.data + np.uint64(lanes.itemsize * i), words.ctypes.data, road_table.ctypes.data
+    if integers[ROAD_PREPARE] != 0:
+        call(np.uint64(integers[ROAD_PREPARE]), lane, word, road)
+    call(np.uint64(integers[ROAD_START]), lane, word + np.uint64(4 * LANES * 4), road)
     if integers[SPEED_START] != 0:
-        call(np.uint64(integers[SPEED_START]), block, word + np.uint64(4 * LANES * 8), speed_table.ctypes.data)
-    for _ in range(integers[WARM_UP_STEPS]):
-        drive_interval(fresh, scratch, counters, words, road_table, speed_table, integers, WARM_UP)
-        for i in range(LANES):
-            counters[STEP + i] += np.uint32(1)
+        call(np.uint64(integers[SPEED_START]), lane, word + np.uint64(4 * LANES * 8), speed_table.ctypes.data)
 
 
 @compiled
@@ -252,20 +249,25 @@ def restart_due(
     forced: Any,
     first: int,
 ) -> None:
-    """Start the lanes of a block that are ``due`` in their next episode, and leave the others as they are."""
-    fresh = np.empty_like(lanes)
-    fresh_counters = counters.copy()
-    for i in range(LANES):
-        fresh_counters[EPISODE + i] += np.uint32(1)
-        fresh_counters[STEP + i] = np.uint32(0)
-    start_block(fresh, scratch, fresh_counters, words, road_table, speed_table, integers, numbers, forced, first)
+    """Start the lanes of a block that are ``due`` in their next episode, warm-up included, and leave the others as they are."""
     for i in range(LANES):
         if due[i]:
-            for row in range(0, SIZE, LANES):
-                lanes[row + i] = fresh[row + i]
-            counters[EPISODE + i] = fresh_counters[EPISODE + i]
+            counters[EPISODE + i] += np.uint32(1)
             counters[STEP + i] = np.uint32(0)
             counters[PENDING + i] = np.uint32(0)
+            start_lane(lanes, i, counters, words, road_table, speed_table, integers, numbers, forced, first)
+    if integers[WARM_UP_STEPS] > 0:
+        kept, kept_counters = lanes.copy(), counters.copy()
+        scratch[DAMPING : DAMPING + LANES] = like(lanes, numbers[WARM_UP_DAMPING])
+        for _ in range(integers[WARM_UP_STEPS]):
+            drive_interval(lanes, scratch, counters, words, road_table, speed_table, integers, WARM_UP)
+            for i in range(LANES):
+                counters[STEP + i] += np.uint32(1)
+        counters[:] = kept_counters
+        for i in range(LANES):
+            if not due[i]:
+                for row in range(0, SIZE, LANES):
+                    lanes[row + i] = kept[row + i]
 
 
 @compiled

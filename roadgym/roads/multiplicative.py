@@ -66,36 +66,34 @@ def rotations(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
 
 
 @LaneFunction
-def prepare(lanes: Any, words: Any, table: Any) -> None:
+def prepare(lane: Any, words: Any, table: Any) -> None:
     """Both rotations, g and the strength of the kick (for shapes below 1/2: eta), in double precision."""
-    for i in range(LANES):
-        short, long, keep = rotations(np.float64(lanes[TURN + i]), np.float64(lanes[BANDWIDTH + i]))
-        lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i] = math.cos(short), math.sin(short)
-        lanes[LONG_COSINE + i], lanes[LONG_SINE + i] = math.cos(long), math.sin(long)
-        lanes[KEEP + i] = keep
-        if table[SHAPE] < 0.5:
-            place = min(math.sqrt(-math.log(keep)) / LARGEST_ROOT, 1.0) * CELLS
-            cell = min(int(place), CELLS - 1)
-            low, high = np.float64(table[CURVE + cell]), np.float64(table[CURVE + cell + 1])
-            lanes[KICK + i] = low + (place - cell) * (high - low)
-        else:
-            lanes[KICK + i] = math.sqrt(1.0 - keep * keep)
+    short, long, keep = rotations(np.float64(lane[TURN]), np.float64(lane[BANDWIDTH]))
+    lane[SHORT_COSINE], lane[SHORT_SINE] = math.cos(short), math.sin(short)
+    lane[LONG_COSINE], lane[LONG_SINE] = math.cos(long), math.sin(long)
+    lane[KEEP] = keep
+    if table[SHAPE] < 0.5:
+        place = min(math.sqrt(-math.log(keep)) / LARGEST_ROOT, 1.0) * CELLS
+        cell = min(int(place), CELLS - 1)
+        low, high = np.float64(table[CURVE + cell]), np.float64(table[CURVE + cell + 1])
+        lane[KICK] = low + (place - cell) * (high - low)
+    else:
+        lane[KICK] = math.sqrt(1.0 - keep * keep)
 
 
 @LaneFunction
-def start(lanes: Any, words: Any, table: Any) -> None:
+def start(lane: Any, words: Any, table: Any) -> None:
     """The stationary law (11) on a circle: 1 - r^2/r0^2 = W^(1/alpha) with W uniform, and a uniform direction.
 
     On an ellipse the same law, stretched; the road warms up from it.
     """
     inverse_bound = np.float64(table[INVERSE_BOUND])
     square = 1.0 / inverse_bound if inverse_bound > 0.0 else np.float64(table[SQUARE_CHORD])
-    for i in range(LANES):
-        free = uniform(words[i]) ** (1.0 / np.float64(table[SHAPE]))
-        radius = math.sqrt(square * (1.0 - free))
-        angle = 2.0 * math.pi * uniform(words[LANES + i])
-        lanes[LEVEL + i] = radius * math.cos(angle) / math.sqrt(table[CHORD_RATIO])
-        lanes[SLOPE + i] = radius * math.sin(angle)
+    free = uniform(words[0]) ** (1.0 / np.float64(table[SHAPE]))
+    radius = math.sqrt(square * (1.0 - free))
+    angle = 2.0 * math.pi * uniform(words[LANES])
+    lane[LEVEL] = radius * math.cos(angle) / math.sqrt(table[CHORD_RATIO])
+    lane[SLOPE] = radius * math.sin(angle)
 
 
 @LaneFunction
