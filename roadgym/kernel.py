@@ -82,9 +82,9 @@ COUNTERS = 5 * LANES
 # rows of the scratch of a block
 PREVIOUS_LEVEL, DAMPING = 0 * LANES, 1 * LANES
 DECAY_11, DECAY_12, DECAY_22 = 2 * LANES, 3 * LANES, 4 * LANES
-SQUARE = 5 * LANES  # five rows, in the order of car.MEAN_SQUARES
+SQUARE = 5 * LANES  # sums of squares, five rows, in the order of car.MEAN_SQUARES
 SIGNAL = 10 * LANES  # nine rows, in the order of SIGNALS
-CONSTANT = 19 * LANES  # the substep, its inverse, and the share of a substep in the interval
+CONSTANT = 19 * LANES  # the substep and its inverse
 SCRATCH = 20 * LANES
 SIGNALS = (
     "displacement",
@@ -104,7 +104,7 @@ REWARD, RESULT_SQUARE, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, RESULTS =
 
 @LaneFunction
 def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """Prepare the car for an interval: free decay over a substep at the damping of each lane, squares zero."""
+    """Prepare the car for an interval: free decay over a substep at the damping of each lane, sums of squares zero."""
     interval, zero = scratch[CONSTANT], like(lanes, 0.0)
     for i in range(LANES):
         phi_11, phi_12, phi_22 = free_decay(scratch[DAMPING + i], interval, lanes)
@@ -121,12 +121,12 @@ def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
 
 @LaneFunction
 def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """One substep of the car (see `roadgym.car`); adds the squares at its end to the means over the interval."""
-    rate, share, two = scratch[CONSTANT + 1], scratch[CONSTANT + 2], like(lanes, 2.0)
+    """One substep of the car (see `roadgym.car`); adds the squares at its end to their sums over the interval."""
+    rate, two = scratch[CONSTANT + 1], like(lanes, 2.0)
     for i in range(LANES):
-        damping = scratch[DAMPING + i]
+        resistance = two * scratch[DAMPING + i]
         old_z, z, excess = scratch[PREVIOUS_LEVEL + i], lanes[LEVEL + i], lanes[LEVEL_EXCESS + i]
-        k = (z - old_z) * rate - two * damping * excess
+        k = (z - old_z) * rate - resistance * excess
         r = lanes[DISPLACEMENT + i] - old_z - excess
         p = lanes[VELOCITY + i] - k
         y = scratch[DECAY_11 + i] * r + scratch[DECAY_12 + i] * p + z + excess
@@ -136,12 +136,12 @@ def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
         scratch[PREVIOUS_LEVEL + i] = z
         travel = y - z
         relative = x - lanes[RATE + i] * lanes[SLOPE + i]
-        acceleration = two * damping * relative + travel
-        scratch[SQUARE + i] += share * y * y
-        scratch[SQUARE + LANES + i] += share * x * x
-        scratch[SQUARE + 2 * LANES + i] += share * acceleration * acceleration
-        scratch[SQUARE + 3 * LANES + i] += share * travel * travel
-        scratch[SQUARE + 4 * LANES + i] += share * relative * relative
+        acceleration = resistance * relative + travel
+        scratch[SQUARE + i] += y * y
+        scratch[SQUARE + LANES + i] += x * x
+        scratch[SQUARE + 2 * LANES + i] += acceleration * acceleration
+        scratch[SQUARE + 3 * LANES + i] += travel * travel
+        scratch[SQUARE + 4 * LANES + i] += relative * relative
 
 
 @compiled
@@ -162,7 +162,7 @@ def drive_interval(
     integers: Any,
     purpose: int,
 ) -> None:
-    """Drive one block through one control interval; leaves the mean squares in the scratch."""
+    """Drive one block through one control interval; leaves the sums of squares in the scratch."""
     substeps = integers[SUBSTEPS]
     words_per_substep = integers[ROAD_WORDS] + integers[SPEED_WORDS]
     draw_words(words, counters, integers, purpose, substeps * words_per_substep)
@@ -182,12 +182,11 @@ def drive_interval(
 
 
 @compiled
-def make_scratch(state: Any, integers: Any, numbers: Any) -> Any:
+def make_scratch(state: Any, numbers: Any) -> Any:
     """Scratch for one block, with the constants of `grip_road` and `follow_road` in place."""
     scratch = np.zeros(SCRATCH, state.dtype)
     scratch[CONSTANT] = numbers[SUBSTEP]
     scratch[CONSTANT + 1] = 1.0 / numbers[SUBSTEP]
-    scratch[CONSTANT + 2] = 1.0 / integers[SUBSTEPS]
     return scratch
 
 
@@ -319,11 +318,14 @@ def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results:
     """Write reward, mean squares, damping and operating point of the finished interval."""
     reward = results[REWARD, first : first + count]
     reward[:] = like(lanes, 0.0)
+    share = like(lanes, 1.0 / integers[SUBSTEPS])
     for k in range(5):
-        copy_row(scratch, SQUARE + k * LANES, results, RESULT_SQUARE + k, first, count)
+        squares = results[RESULT_SQUARE + k, first : first + count]
+        sums = scratch[SQUARE + k * LANES : SQUARE + k * LANES + count]
+        for i in range(count):
+            squares[i] = share * sums[i]
         weight = like(lanes, numbers[WEIGHT + k])
         if weight != 0.0:  # a weight of zero takes no part: its mean square may be meaningless on this road
-            squares = results[RESULT_SQUARE + k, first : first + count]
             for i in range(count):
                 reward[i] -= weight * squares[i]
     if integers[HAS_SLOPE] == 0:
@@ -354,7 +356,7 @@ def step_blocks(
     """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring."""
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = make_scratch(state, integers, numbers)
+    scratch = make_scratch(state, numbers)
     due = np.zeros(LANES, np.bool_)
     nothing_forced = np.empty((2, 0))
     low, high = like(state, numbers[DAMPING_LOW]), like(state, numbers[DAMPING_HIGH])
@@ -419,7 +421,7 @@ def reset_blocks(
     """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all."""
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = make_scratch(state, integers, numbers)
+    scratch = make_scratch(state, numbers)
     due = np.zeros(LANES, np.bool_)
     for b in range(begin, end):
         lanes = state[b * SIZE : (b + 1) * SIZE]

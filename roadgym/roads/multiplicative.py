@@ -48,8 +48,9 @@ from .gaussian import oscillator
 KEEP, KICK = COEFFICIENT, COEFFICIENT + LANES
 SHORT_COSINE, SHORT_SINE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
 LONG_COSINE, LONG_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
+CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 6 * LANES, COEFFICIENT + 7 * LANES  # of this substep only
 
-# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then knots of a curve
+# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then the knots of a curve and their distances
 SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, CURVE = 0, 1, 2, 3, 4
 CELLS = 512
 LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
@@ -103,19 +104,18 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
     twelfth = like(lanes, 1.0 / 12.0)
     fraction_unit = like(lanes, 2.0**-21)
     square_chord, chord_ratio, inverse_bound = table[SQUARE_CHORD], table[CHORD_RATIO], table[INVERSE_BOUND]
-    # The look-up keeps to a loop of its own, into the row that is free until the end: with it the rest would not vectorise.
+    # The look-up has a loop of its own and does nothing else, since it is the one part that does not vectorise. Of a word, the
+    # top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in the cell.
     for i in range(LANES):
-        # the top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in it
-        word = words[i]
-        cell = np.int64((word >> np.uint32(21)) & np.uint32(CELLS - 1))
-        place = like(lanes, np.int32(word & np.uint32(0x1FFFFF))) * fraction_unit
-        low, high = table[CURVE + cell], table[CURVE + cell + 1]
-        lanes[LEVEL_EXCESS + i] = low + place * (high - low)
+        cell = np.int64((words[i] >> np.uint32(21)) & np.uint32(CELLS - 1))
+        lanes[CELL_BEGIN + i] = table[CURVE + cell]
+        lanes[CELL_WIDTH + i] = table[CURVE + CELLS + 1 + cell]
     for i in range(LANES):
         word = words[i]
         early = np.int32(word) < np.int32(0)
         sign = like(lanes, np.int32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1)))
-        direction = sign * lanes[LEVEL_EXCESS + i]
+        place = like(lanes, np.int32(word & np.uint32(0x1FFFFF))) * fraction_unit
+        direction = sign * (lanes[CELL_BEGIN + i] + place * lanes[CELL_WIDTH + i])
 
         short_cosine, short_sine = lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i]
         long_cosine, long_sine = lanes[LONG_COSINE + i], lanes[LONG_SINE + i]
@@ -376,7 +376,8 @@ class MultiplicativeRoad(Road):
         # four units in the last place inside the circle, so that what is stored never lies outside
         bound = square_chord * (1 - 4 * float(np.finfo(self.precision).eps))
         curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
-        return np.concatenate([[square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape], curve])
+        constants = [square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape]
+        return np.concatenate([constants, curve, np.diff(curve)])
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
         """The same road with another bandwidth, and the same shape and variance; circles only."""
