@@ -209,7 +209,12 @@ def start_lane(
     """
     for chunk in range(3):
         w0, w1, w2, w3 = philox(
-            np.uint32(chunk), np.uint32(0), counters[EPISODE + i], np.uint32(START), counters[KEY + i], counters[KEY + LANES + i]
+            np.uint32(chunk),
+            np.uint32(0),
+            counters[EPISODE + i],
+            np.uint32(START),
+            counters[KEY + i],
+            counters[KEY + LANES + i],
         )
         for k, word in enumerate((w0, w1, w2, w3)):
             words[(4 * chunk + k) * LANES] = word

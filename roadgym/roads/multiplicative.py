@@ -50,7 +50,8 @@ SHORT_COSINE, SHORT_SINE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
 LONG_COSINE, LONG_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
 CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 6 * LANES, COEFFICIENT + 7 * LANES  # of this substep only
 
-# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then the knots of a curve and their distances
+# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then the knots of a curve and the
+# distances between them
 SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, CURVE = 0, 1, 2, 3, 4
 CELLS = 512
 LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
