@@ -145,7 +145,7 @@ def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float)
 class SemiActive(Controller):
     """A rule on the body's and the suspension's motion, in road standard deviations and units of time 1/w1."""
 
-    needs = ("displacement", "velocity", "level", "slope", "speed")
+    needs: tuple[str, ...] = ("displacement", "velocity", "level", "slope", "speed")
 
     def motion(self, signals: Mapping[str, Observation]) -> tuple[Observation, Observation, Observation]:
         """Body velocity Y', relative velocity Y' - Z' with Z' = nu U, and travel Y - Z."""
@@ -226,7 +226,7 @@ class LeastAcceleration(SemiActive):
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """D = -(Y - Z)/(2 (Y' - Z')), clipped to the range."""
         _, relative, travel = self.motion(signals)
-        return -travel * relative / (2 * np.maximum(relative**2, np.float32(1e-12)))
+        return np.asarray(-travel * relative / (2 * np.maximum(relative**2, np.float32(1e-12))))
 
 
 class Scheduled(SemiActive):
