@@ -187,8 +187,9 @@ def share_of_training() -> Result:
 
     parameters = load_hyperparameters("ppo") | {"n_envs": 64}
     model = make_model("ppo", parameters, {"road": "multiplicative"}, 0, None)
-    envs = model.get_env()
-    assert envs is not None
+    wrapped = model.get_env()
+    assert wrapped is not None
+    envs = wrapped.unwrapped  # without the normalisation of rewards, which is stable-baselines3's
     inside = 0.0
     plain = envs.step_wait
 

@@ -55,7 +55,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
     who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
-    who.add_argument("--controller", metavar="NAME", help="a classical controller: analytic_optimum, d_min, d_max, skyhook")
+    who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     _add_evaluation(evaluate)
     _add_environment(evaluate)
@@ -70,6 +70,7 @@ def make_parser() -> argparse.ArgumentParser:
     compare.add_argument("--output", default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)")
     compare.add_argument("--agent", metavar="DIR", help="folder of a trained agent, instead of training one")
     compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    compare.add_argument("--controllers", nargs="+", metavar="NAME", help="classical controllers to compare with")
     _add_training(compare)
     _add_evaluation(compare)
     _add_environment(compare)
@@ -210,10 +211,14 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     from roadgym.parameters import whole
     from roadgym.task import make_task
 
+    from .controllers import make_controller
     from .evaluation import FEWEST_EPISODES, make_points
 
     grid = _grid(chosen)
-    make_points(make_task(**environment), grid["speeds"], grid["bandwidths"])
+    task = make_task(**environment)
+    make_points(task, grid["speeds"], grid["bandwidths"])
+    for name in getattr(chosen, "controllers", None) or ():
+        make_controller(name, task)
     whole("episodes", chosen.episodes, low=FEWEST_EPISODES)
     whole("seed", chosen.seed, low=0)
 
@@ -294,7 +299,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
 
 def run_compare(chosen: argparse.Namespace) -> None:
     """``roadgym compare``."""
-    from .comparison import compare, table, write
+    from .comparison import RIVALS, compare, table, write
     from .progress import evaluation_progress
     from .training import load, make_folder
 
@@ -317,6 +322,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
             seed=chosen.seed,
             report=report,
             description=agent.description,
+            controllers=chosen.controllers or RIVALS,
             **_grid(chosen),
         )
     files = write(comparison, folder, agent)

@@ -13,11 +13,12 @@ import numpy as np
 
 from roadgym.task import Task, make_task
 
-from .controllers import CONTROLLERS, make_controller, optimum, theoretical_cost
+from .controllers import make_controller, optimum, theoretical_cost
 from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate, standard_error
 from .figures import draw_cost_over_speed, draw_policy
 from .training import make_folder, plain, versions, write_atomically
 
+RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook")
 SPEEDS = (0.7, 1.0, 1.5, 2.0, 3.0)
 BANDWIDTHS = (0.1, 0.3)
 AGENT = "agent"
@@ -124,6 +125,7 @@ def compare(
     environment: Mapping[str, Any],
     speeds: Sequence[float] = SPEEDS,
     bandwidths: Sequence[float] = BANDWIDTHS,
+    controllers: Sequence[str] = RIVALS,
     episodes: int = 256,
     seed: int = 0,
     report: Callable[[str, int, int], None] | None = None,
@@ -135,6 +137,8 @@ def compare(
         agent: anything with ``predict`` that answers with D; None to compare the classical controllers alone.
         environment: parameters of the environment, with ranges that hold the operating points.
         speeds, bandwidths: the grid of operating points, m/s and 1.
+        controllers: names of the classical controllers; the analytic optimum is always among them. Of those by default,
+            skyhook is left out on a road without a slope.
         episodes, seed, report: as for `agents.evaluate`.
         description: what is known of the agent, for the record.
 
@@ -143,9 +147,11 @@ def compare(
     """
     task = make_task(**environment)
     drivers: dict[str, Predictor] = {} if agent is None else {AGENT: agent}
-    for name in CONTROLLERS:
-        if name != "skyhook" or "slope" in task.signals:
-            drivers[name] = make_controller(name, task)
+    names = dict.fromkeys(("analytic_optimum", *controllers))
+    if controllers is RIVALS and "slope" not in task.signals:
+        del names["skyhook"]
+    for name in names:
+        drivers[name] = make_controller(name, task)
     evaluations = evaluate(
         drivers,
         environment=environment,

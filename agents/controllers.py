@@ -8,6 +8,7 @@ which lies in [-1, 1], D is what the environment takes.
 from __future__ import annotations
 
 import abc
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -141,21 +142,239 @@ def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float)
     return total / task.road.variance
 
 
-class SkyhookOnOff(Controller):
+class SemiActive(Controller):
+    """A rule on the body's and the suspension's motion, in road standard deviations and units of time 1/w1."""
+
+    needs: tuple[str, ...] = ("displacement", "velocity", "level", "slope", "speed")
+
+    def motion(self, signals: Mapping[str, Observation]) -> tuple[Observation, Observation, Observation]:
+        """Body velocity Y', relative velocity Y' - Z' with Z' = nu U, and travel Y - Z."""
+        share = signals["speed"]
+        relative = signals["velocity"] - share / (1 - share) * signals["slope"]
+        return signals["velocity"], relative, signals["displacement"] - signals["level"]
+
+    def soft_acceleration(self, relative: Observation, travel: Observation) -> Observation:
+        """Acceleration that the softest damper would give the body."""
+        return -2 * np.float32(self.task.damping_range[0]) * relative - travel
+
+    def on_off(self, firm: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+        """D_max where ``firm``, else D_min."""
+        low, high = self.task.damping_range
+        return np.where(firm, high, low)
+
+
+class SkyhookOnOff(SemiActive):
     """D_max where the damper would brake the body, Y' (Y' - Z') > 0, else D_min.
 
     Source: D. Karnopp, M. J. Crosby and R. A. Harwood, "Vibration control using semi-active force generators",
     J. Eng. Ind. 96, 1974, in its on-off form.
     """
 
-    needs = ("velocity", "slope", "speed")
+    def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
+        """The rule."""
+        velocity, relative, _ = self.motion(signals)
+        return self.on_off(velocity * relative > 0)
+
+
+class SkyhookContinuous(SemiActive):
+    """The force of a damper D_max between the body and the sky, 2 D_max Y', as far as the damper can give it.
+
+    Source: Karnopp, Crosby and Harwood (1974), as for `SkyhookOnOff`.
+    """
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
-        """The rule, with Z'/w1 = nu U."""
-        share = signals["speed"]
-        relative = signals["velocity"] - share / (1 - share) * signals["slope"]
-        low, high = self.task.damping_range
-        return np.where(signals["velocity"] * relative > 0, high, low)
+        """D = D_max Y'/(Y' - Z'), clipped to the range."""
+        velocity, relative, _ = self.motion(signals)
+        return self.task.damping_range[1] * velocity * relative / np.maximum(relative**2, np.float32(1e-12))
+
+
+class AccelerationDrivenDamper(SemiActive):
+    """ADD: D_max where the damper would reduce the body's acceleration, Y'' (Y' - Z') > 0, else D_min.
+
+    Y'' is what the softest damper would give, so that the rule does not depend on its own last answer.
+
+    Source: S. M. Savaresi, E. Silani and S. Bittanti, "Acceleration-driven-damper (ADD): an optimal control algorithm for
+    comfort-oriented semiactive suspensions", J. Dyn. Syst. Meas. Control 127, 2005.
+    """
+
+    def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
+        """The rule."""
+        _, relative, travel = self.motion(signals)
+        return self.on_off(self.soft_acceleration(relative, travel) * relative > 0)
+
+
+class MixedSkyhookADD(SemiActive):
+    """Skyhook where the body moves slowly, Y''^2 <= 2 w1^2 Y'^2, and ADD where it moves fast.
+
+    The crossover, sqrt(2) w1, is the frequency at which no damping amplifies or reduces the road.
+
+    Source: S. M. Savaresi and C. Spelta, "Mixed sky-hook and ADD: approaching the filtering limits of a semi-active
+    suspension", J. Dyn. Syst. Meas. Control 129, 2007.
+    """
+
+    def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
+        """The rule."""
+        velocity, relative, travel = self.motion(signals)
+        acceleration = self.soft_acceleration(relative, travel)
+        slow = acceleration**2 <= 2 * velocity**2
+        return self.on_off(np.where(slow, velocity, acceleration) * relative > 0)
+
+
+class LeastAcceleration(SemiActive):
+    """The damping that makes |Y''| least at this instant: 2 D (Y' - Z') = -(Y - Z) where the range allows it."""
+
+    def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
+        """D = -(Y - Z)/(2 (Y' - Z')), clipped to the range."""
+        _, relative, travel = self.motion(signals)
+        return np.asarray(-travel * relative / (2 * np.maximum(relative**2, np.float32(1e-12))))
+
+
+class Scheduled(SemiActive):
+    """A rule with quadratic forms of the state (Y, X, Z, U) that are worked out once for each operating point."""
+
+    needs = (*SemiActive.needs, "bandwidth")
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(task)
+        self._forms: dict[tuple[float, float], Any] = {}
+
+    @abc.abstractmethod
+    def make_forms(self, ratio: float, bandwidth: float) -> Any:
+        """What the rule needs at a frequency ratio nu and a bandwidth."""
+
+    @abc.abstractmethod
+    def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
+        """Damping ratios, shape (n,), of states, shape (n, 4)."""
+
+    def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
+        """The rule, at each distinct operating point."""
+        state = np.stack([signals[name] for name in ("displacement", "velocity", "level", "slope")], axis=1).astype(float)
+        ratio = self.task.frequency_ratio(observed_speed(signals, self.task))
+        points = np.stack([ratio, observed_bandwidth(signals)], axis=1)
+        answer = np.empty(len(state))
+        # neighbouring rows mostly share their operating point, so runs of equal rows are found instead of sorting all
+        edges = np.flatnonzero(np.any(np.diff(points, axis=0) != 0, axis=1)) + 1
+        for begin, end in itertools.pairwise([0, *edges.tolist(), len(state)]):
+            key = float(points[begin, 0]), float(points[begin, 1])
+            if key not in self._forms:
+                self._forms[key] = self.make_forms(*key)
+            answer[begin:end] = self.rule(self._forms[key], state[begin:end], key[0])
+        return answer
+
+
+def mean_drift(damping: float, ratio: float, bandwidth: float) -> npt.NDArray[np.float64]:
+    """Drift matrix of (Y, X, Z, U) at constant damping, in units of time 1/w1; (7), (13) of Wedig (2020)."""
+    return np.array(
+        [
+            [0, 1, 0, 0],
+            [-1, -2 * damping, 1, 2 * damping * ratio],
+            [0, 0, 0, ratio],
+            [0, 0, -ratio, -2 * bandwidth * ratio],
+        ],
+        float,
+    )
+
+
+class ClippedLinearQuadratic(Scheduled):
+    """The best linear active force for the weights of the reward, as far as the damper can give it.
+
+    The regulator sees the road's state, and pays for its force with a hundredth of its mean square, without which the force
+    for displacement alone has no optimum.
+
+    Source: the linear-quadratic regulator, clipped, as in H. E. Tseng and J. K. Hedrick, "Semi-active control laws - optimal
+    and sub-optimal", Veh. Syst. Dyn. 23, 1994.
+    """
+
+    price = 0.01
+
+    def make_forms(self, ratio: float, bandwidth: float) -> npt.NDArray[np.float64]:
+        """Feedback gain of the force on (Y, X, Z, U)."""
+        from scipy.linalg import solve_continuous_are
+
+        drift, entry = mean_drift(0.0, ratio, bandwidth), np.array([[0.0], [-1.0], [0.0], [0.0]])
+        cost, cross, price = np.zeros((4, 4)), np.zeros((4, 1)), np.array([[self.price]])
+        # each signal is a row of the state plus a multiple of the force, which is positive against the body's motion
+        rows = {
+            "displacement": ([1, 0, 0, 0], 0),
+            "velocity": ([0, 1, 0, 0], 0),
+            "acceleration": ([-1, 0, 1, 0], -1),
+            "travel": ([1, 0, -1, 0], 0),
+            "relative_velocity": ([0, 1, 0, -ratio], 0),
+        }
+        for name, weight in self.task.weights_by_name.items():
+            row, force = np.array(rows[name][0], float)[:, None], rows[name][1]
+            cost += weight * row @ row.T
+            cross += weight * force * row
+            price = price + weight * force**2
+        value = solve_continuous_are(drift, entry, cost, price, s=cross)
+        gain: npt.NDArray[np.float64] = (np.linalg.solve(price, entry.T @ value + cross.T))[0]
+        return gain
+
+    def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
+        """D = force/(2 (Y' - Z')), clipped to the range where the damper can only brake."""
+        force = -state @ forms
+        relative = state[:, 1] - ratio * state[:, 3]
+        return np.asarray(force * relative / (2 * np.maximum(relative**2, 1e-12)))
+
+
+class OneStepLookahead(Scheduled):
+    """The damping that is best for one control interval, if the best constant damping took over after it.
+
+    The value of going on with a constant damping is a quadratic form of the state, from a Lyapunov equation; what the next
+    interval costs on average is one too. So each of a few damping ratios has a quadratic form, and the least one wins: one
+    exact step of policy improvement on the analytic optimum (on Gaussian roads; on bounded ones the noise is taken as
+    Gaussian).
+
+    Source: the rollout of D. P. Bertsekas, Dynamic Programming and Optimal Control, vol. 1, 2017, section 6.4.
+    """
+
+    choices = 9
+    steps = 8
+
+    def make_forms(self, ratio: float, bandwidth: float) -> Any:
+        """(dampings, forms of shape (choices, 4, 4), constants): cost of the next interval and of all after it."""
+        from scipy.linalg import expm, solve_continuous_lyapunov
+
+        task = self.task
+        interval = task.control_interval * task.car.natural_frequency
+        speed = ratio * task.car.natural_frequency / task.road.wavenumber
+        constant = float(optimum(task, speed, bandwidth).damping)
+        value = solve_continuous_lyapunov(mean_drift(constant, ratio, bandwidth).T, -self._cost(constant, ratio))
+        dampings = np.linspace(*task.damping_range, self.choices)
+        forms, constants = np.zeros((self.choices, 4, 4)), np.zeros(self.choices)
+        diffusion = np.diag([0, 0, 0, 4 * bandwidth * ratio])
+        step = interval / self.steps
+        for k, damping in enumerate(dampings.tolist()):
+            drift, cost = mean_drift(damping, ratio, bandwidth), self._cost(damping, ratio)
+            move, half = expm(drift * step), expm(drift * step / 2)
+            noise = half @ diffusion @ half.T * step  # midpoint rule, of second order in an eighth of the interval
+            mean, spread = np.eye(4), np.zeros((4, 4))
+            for _ in range(self.steps):
+                mean, spread = move @ mean, move @ spread @ move.T + noise
+                forms[k] += step * mean.T @ cost @ mean
+                constants[k] += step * np.trace(cost @ spread)
+            forms[k] += mean.T @ value @ mean
+            constants[k] += np.trace(value @ spread)
+        return dampings, forms, constants
+
+    def _cost(self, damping: float, ratio: float) -> npt.NDArray[np.float64]:
+        """The weighted squares as a quadratic form of the state at a damping."""
+        rows: dict[str, list[float]] = {
+            "displacement": [1, 0, 0, 0],
+            "velocity": [0, 1, 0, 0],
+            "acceleration": [1, 2 * damping, -1, -2 * damping * ratio],
+            "travel": [1, 0, -1, 0],
+            "relative_velocity": [0, 1, 0, -ratio],
+        }
+        return sum(
+            (weight * np.outer(rows[name], rows[name]) for name, weight in self.task.weights_by_name.items()), np.zeros((4, 4))
+        )
+
+    def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
+        """The damping of the least form."""
+        dampings, quadratic, constants = forms
+        costs = np.einsum("ni,kij,nj->nk", state, quadratic, state, optimize=True) + constants
+        return np.asarray(dampings[np.argmin(costs, axis=1)])
 
 
 CONTROLLERS: dict[str, Callable[[Task], Controller]] = {
@@ -163,6 +382,12 @@ CONTROLLERS: dict[str, Callable[[Task], Controller]] = {
     "d_min": lambda task: ConstantDamping(task, task.damping_range[0]),
     "d_max": lambda task: ConstantDamping(task, task.damping_range[1]),
     "skyhook": SkyhookOnOff,
+    "skyhook_continuous": SkyhookContinuous,
+    "add": AccelerationDrivenDamper,
+    "mixed_skyhook_add": MixedSkyhookADD,
+    "least_acceleration": LeastAcceleration,
+    "clipped_lqr": ClippedLinearQuadratic,
+    "one_step_lookahead": OneStepLookahead,
 }
 
 

@@ -12,6 +12,10 @@ A road (or a speed noise) is a few plain functions of pointers ``(lanes, words, 
 - ``words``: rows of random 32-bit words of this substep, word ``k`` of lane ``i`` at ``words[k * LANES + i]``;
 - ``table``: constants of the road, the same for every lane.
 
+What happens at every substep is a function of a whole block, with a loop over its lanes. What happens once an episode is a
+function of one lane, ``(lane, words, table)``: its pointers begin at that lane, so that quantity ``Q`` is ``lane[Q]`` and word
+``k`` is ``words[k * LANES]``.
+
 `LaneFunction` compiles them, each with its own cache file, and the kernel calls them through their address. That keeps one
 kernel for all roads, compiled once, and lets a road live in any module.
 """

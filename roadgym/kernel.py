@@ -6,7 +6,7 @@ Data flow of one control interval, for each block of LANES lanes (see `roadgym.c
 2. draw all random words of the interval, a pure function of (seed, episode, step);
 3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, the squares add up;
 4. observe, add up the reward from the mean squares, count the step;
-5. lanes whose episode is over start anew: all lanes of the block are started aside, and those due are copied over.
+5. lanes whose episode is over start anew, one by one.
 
 What differs between plants is only which lane functions are called, by address, and how many words they take. Nothing depends
 on how blocks are shared out between threads. The integers and numbers that describe a plant are two arrays, indexed by the
@@ -31,15 +31,13 @@ from .compiled import (
     SLOPE,
     SPEED,
     TURN,
-    TURN_EXCESS,
-    TURN_VARIANCE,
     VELOCITY,
     LaneFunction,
     call,
     compiled,
     like,
 )
-from .noise import INTERVAL, START, WARM_UP, uniform
+from .noise import INTERVAL, START, WARM_UP, philox, uniform
 
 # integers of a plant
 (
@@ -84,9 +82,9 @@ COUNTERS = 5 * LANES
 # rows of the scratch of a block
 PREVIOUS_LEVEL, DAMPING = 0 * LANES, 1 * LANES
 DECAY_11, DECAY_12, DECAY_22 = 2 * LANES, 3 * LANES, 4 * LANES
-SQUARE = 5 * LANES  # five rows, in the order of car.MEAN_SQUARES
+SQUARE = 5 * LANES  # sums of squares, five rows, in the order of car.MEAN_SQUARES
 SIGNAL = 10 * LANES  # nine rows, in the order of SIGNALS
-CONSTANT = 19 * LANES  # the substep, its inverse, and the share of a substep in the interval
+CONSTANT = 19 * LANES  # the substep and its inverse
 SCRATCH = 20 * LANES
 SIGNALS = (
     "displacement",
@@ -106,7 +104,7 @@ REWARD, RESULT_SQUARE, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, RESULTS =
 
 @LaneFunction
 def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """Prepare the car for an interval: free decay over a substep at the damping of each lane, squares zero."""
+    """Prepare the car for an interval: free decay over a substep at the damping of each lane, sums of squares zero."""
     interval, zero = scratch[CONSTANT], like(lanes, 0.0)
     for i in range(LANES):
         phi_11, phi_12, phi_22 = free_decay(scratch[DAMPING + i], interval, lanes)
@@ -123,12 +121,12 @@ def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
 
 @LaneFunction
 def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """One substep of the car (see `roadgym.car`); adds the squares at its end to the means over the interval."""
-    rate, share, two = scratch[CONSTANT + 1], scratch[CONSTANT + 2], like(lanes, 2.0)
+    """One substep of the car (see `roadgym.car`); adds the squares at its end to their sums over the interval."""
+    rate, two = scratch[CONSTANT + 1], like(lanes, 2.0)
     for i in range(LANES):
-        damping = scratch[DAMPING + i]
+        resistance = two * scratch[DAMPING + i]
         old_z, z, excess = scratch[PREVIOUS_LEVEL + i], lanes[LEVEL + i], lanes[LEVEL_EXCESS + i]
-        k = (z - old_z) * rate - two * damping * excess
+        k = (z - old_z) * rate - resistance * excess
         r = lanes[DISPLACEMENT + i] - old_z - excess
         p = lanes[VELOCITY + i] - k
         y = scratch[DECAY_11 + i] * r + scratch[DECAY_12 + i] * p + z + excess
@@ -138,12 +136,12 @@ def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
         scratch[PREVIOUS_LEVEL + i] = z
         travel = y - z
         relative = x - lanes[RATE + i] * lanes[SLOPE + i]
-        acceleration = two * damping * relative + travel
-        scratch[SQUARE + i] += share * y * y
-        scratch[SQUARE + LANES + i] += share * x * x
-        scratch[SQUARE + 2 * LANES + i] += share * acceleration * acceleration
-        scratch[SQUARE + 3 * LANES + i] += share * travel * travel
-        scratch[SQUARE + 4 * LANES + i] += share * relative * relative
+        acceleration = resistance * relative + travel
+        scratch[SQUARE + i] += y * y
+        scratch[SQUARE + LANES + i] += x * x
+        scratch[SQUARE + 2 * LANES + i] += acceleration * acceleration
+        scratch[SQUARE + 3 * LANES + i] += travel * travel
+        scratch[SQUARE + 4 * LANES + i] += relative * relative
 
 
 @compiled
@@ -164,7 +162,7 @@ def drive_interval(
     integers: Any,
     purpose: int,
 ) -> None:
-    """Drive one block through one control interval; leaves the mean squares in the scratch."""
+    """Drive one block through one control interval; leaves the sums of squares in the scratch."""
     substeps = integers[SUBSTEPS]
     words_per_substep = integers[ROAD_WORDS] + integers[SPEED_WORDS]
     draw_words(words, counters, integers, purpose, substeps * words_per_substep)
@@ -174,7 +172,9 @@ def drive_interval(
     for _ in range(substeps):
         if integers[SPEED_ADVANCE] != 0:
             call(np.uint64(integers[SPEED_ADVANCE]), block, word, speed)
-            call(np.uint64(integers[ROAD_PREPARE]), block, word, road)
+            if integers[ROAD_PREPARE] != 0:
+                for i in range(LANES):
+                    call(np.uint64(integers[ROAD_PREPARE]), block + np.uint64(lanes.itemsize * i), word, road)
             word += np.uint64(4 * LANES * integers[SPEED_WORDS])
         call(np.uint64(integers[ROAD_ADVANCE]), block, word, road)
         call(np.uint64(integers[CAR_FOLLOW]), block, word, own)
@@ -182,19 +182,18 @@ def drive_interval(
 
 
 @compiled
-def make_scratch(state: Any, integers: Any, numbers: Any) -> Any:
+def make_scratch(state: Any, numbers: Any) -> Any:
     """Scratch for one block, with the constants of `grip_road` and `follow_road` in place."""
     scratch = np.zeros(SCRATCH, state.dtype)
     scratch[CONSTANT] = numbers[SUBSTEP]
     scratch[CONSTANT + 1] = 1.0 / numbers[SUBSTEP]
-    scratch[CONSTANT + 2] = 1.0 / integers[SUBSTEPS]
     return scratch
 
 
 @compiled
-def start_block(
-    fresh: Any,
-    scratch: Any,
+def start_lane(
+    lanes: Any,
+    i: int,
     counters: Any,
     words: Any,
     road_table: Any,
@@ -204,38 +203,40 @@ def start_block(
     forced: Any,
     first: int,
 ) -> None:
-    """Start every lane of a block: operating point, stationary road, car at rest, warm-up.
+    """Start lane ``i`` of a block: operating point, stationary road, car at rest.
 
     ``forced`` has two rows, speed and bandwidth of each environment, or no columns; where it is not NaN it replaces the draw.
     """
-    zero = like(fresh, 0.0)
-    draw_words(words, counters, integers, START, 12)
-    for i in range(LANES):
-        speed = numbers[SPEED_LOW] + (numbers[SPEED_HIGH] - numbers[SPEED_LOW]) * uniform(words[i])
-        bandwidth = numbers[BANDWIDTH_LOW] + (numbers[BANDWIDTH_HIGH] - numbers[BANDWIDTH_LOW]) * uniform(words[LANES + i])
-        if first + i < forced.shape[1]:
-            if not np.isnan(forced[0, first + i]):
-                speed = forced[0, first + i]
-            if not np.isnan(forced[1, first + i]):
-                bandwidth = forced[1, first + i]
-        fresh[SPEED + i] = speed
-        fresh[BANDWIDTH + i] = bandwidth
-        fresh[RATE + i] = speed
-        fresh[TURN + i] = speed * numbers[SUBSTEP]
-        fresh[TURN_EXCESS + i] = zero
-        fresh[TURN_VARIANCE + i] = zero
-        fresh[DISPLACEMENT + i] = zero
-        fresh[VELOCITY + i] = zero
-        scratch[DAMPING + i] = numbers[WARM_UP_DAMPING]
-    block, word, road = fresh.ctypes.data, words.ctypes.data, road_table.ctypes.data
-    call(np.uint64(integers[ROAD_PREPARE]), block, word, road)
-    call(np.uint64(integers[ROAD_START]), block, word + np.uint64(4 * LANES * 4), road)
+    for chunk in range(3):
+        w0, w1, w2, w3 = philox(
+            np.uint32(chunk),
+            np.uint32(0),
+            counters[EPISODE + i],
+            np.uint32(START),
+            counters[KEY + i],
+            counters[KEY + LANES + i],
+        )
+        for k, word in enumerate((w0, w1, w2, w3)):
+            words[(4 * chunk + k) * LANES] = word
+    speed = numbers[SPEED_LOW] + (numbers[SPEED_HIGH] - numbers[SPEED_LOW]) * uniform(words[0])
+    bandwidth = numbers[BANDWIDTH_LOW] + (numbers[BANDWIDTH_HIGH] - numbers[BANDWIDTH_LOW]) * uniform(words[LANES])
+    if first + i < forced.shape[1]:
+        if not np.isnan(forced[0, first + i]):
+            speed = forced[0, first + i]
+        if not np.isnan(forced[1, first + i]):
+            bandwidth = forced[1, first + i]
+    for row in range(0, SIZE, LANES):
+        lanes[row + i] = 0.0
+    lanes[SPEED + i] = speed
+    lanes[BANDWIDTH + i] = bandwidth
+    lanes[RATE + i] = speed
+    lanes[TURN + i] = speed * numbers[SUBSTEP]
+    lane, word, road = lanes.ctypes.data + np.uint64(lanes.itemsize * i), words.ctypes.data, road_table.ctypes.data
+    if integers[ROAD_PREPARE] != 0:
+        call(np.uint64(integers[ROAD_PREPARE]), lane, word, road)
+    call(np.uint64(integers[ROAD_START]), lane, word + np.uint64(4 * LANES * 4), road)
     if integers[SPEED_START] != 0:
-        call(np.uint64(integers[SPEED_START]), block, word + np.uint64(4 * LANES * 8), speed_table.ctypes.data)
-    for _ in range(integers[WARM_UP_STEPS]):
-        drive_interval(fresh, scratch, counters, words, road_table, speed_table, integers, WARM_UP)
-        for i in range(LANES):
-            counters[STEP + i] += np.uint32(1)
+        call(np.uint64(integers[SPEED_START]), lane, word + np.uint64(4 * LANES * 8), speed_table.ctypes.data)
 
 
 @compiled
@@ -252,20 +253,25 @@ def restart_due(
     forced: Any,
     first: int,
 ) -> None:
-    """Start the lanes of a block that are ``due`` in their next episode, and leave the others as they are."""
-    fresh = np.empty_like(lanes)
-    fresh_counters = counters.copy()
-    for i in range(LANES):
-        fresh_counters[EPISODE + i] += np.uint32(1)
-        fresh_counters[STEP + i] = np.uint32(0)
-    start_block(fresh, scratch, fresh_counters, words, road_table, speed_table, integers, numbers, forced, first)
+    """Start the lanes of a block that are ``due`` in their next episode, warm-up included, and leave the others as they are."""
     for i in range(LANES):
         if due[i]:
-            for row in range(0, SIZE, LANES):
-                lanes[row + i] = fresh[row + i]
-            counters[EPISODE + i] = fresh_counters[EPISODE + i]
+            counters[EPISODE + i] += np.uint32(1)
             counters[STEP + i] = np.uint32(0)
             counters[PENDING + i] = np.uint32(0)
+            start_lane(lanes, i, counters, words, road_table, speed_table, integers, numbers, forced, first)
+    if integers[WARM_UP_STEPS] > 0:
+        kept, kept_counters = lanes.copy(), counters.copy()
+        scratch[DAMPING : DAMPING + LANES] = like(lanes, numbers[WARM_UP_DAMPING])
+        for _ in range(integers[WARM_UP_STEPS]):
+            drive_interval(lanes, scratch, counters, words, road_table, speed_table, integers, WARM_UP)
+            for i in range(LANES):
+                counters[STEP + i] += np.uint32(1)
+        counters[:] = kept_counters
+        for i in range(LANES):
+            if not due[i]:
+                for row in range(0, SIZE, LANES):
+                    lanes[row + i] = kept[row + i]
 
 
 @compiled
@@ -317,11 +323,14 @@ def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results:
     """Write reward, mean squares, damping and operating point of the finished interval."""
     reward = results[REWARD, first : first + count]
     reward[:] = like(lanes, 0.0)
+    share = like(lanes, 1.0 / integers[SUBSTEPS])
     for k in range(5):
-        copy_row(scratch, SQUARE + k * LANES, results, RESULT_SQUARE + k, first, count)
+        squares = results[RESULT_SQUARE + k, first : first + count]
+        sums = scratch[SQUARE + k * LANES : SQUARE + k * LANES + count]
+        for i in range(count):
+            squares[i] = share * sums[i]
         weight = like(lanes, numbers[WEIGHT + k])
         if weight != 0.0:  # a weight of zero takes no part: its mean square may be meaningless on this road
-            squares = results[RESULT_SQUARE + k, first : first + count]
             for i in range(count):
                 reward[i] -= weight * squares[i]
     if integers[HAS_SLOPE] == 0:
@@ -352,7 +361,7 @@ def step_blocks(
     """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring."""
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = make_scratch(state, integers, numbers)
+    scratch = make_scratch(state, numbers)
     due = np.zeros(LANES, np.bool_)
     nothing_forced = np.empty((2, 0))
     low, high = like(state, numbers[DAMPING_LOW]), like(state, numbers[DAMPING_HIGH])
@@ -417,7 +426,7 @@ def reset_blocks(
     """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all."""
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = make_scratch(state, integers, numbers)
+    scratch = make_scratch(state, numbers)
     due = np.zeros(LANES, np.bool_)
     for b in range(begin, end):
         lanes = state[b * SIZE : (b + 1) * SIZE]

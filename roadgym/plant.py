@@ -87,7 +87,7 @@ class Plant:
         integers = np.zeros(kernel.INTEGERS, np.int64)
         integers[kernel.SUBSTEPS] = task.substeps
         integers[kernel.ROAD_WORDS] = road.words_per_substep
-        integers[kernel.ROAD_PREPARE] = road.prepare.address(self.dtype)
+        integers[kernel.ROAD_PREPARE] = 0 if road.prepare is None else road.prepare.address(self.dtype)
         integers[kernel.ROAD_START] = road.start.address(self.dtype)
         integers[kernel.ROAD_ADVANCE] = road.advance.address(self.dtype)
         integers[kernel.FILL_WORDS] = fill_words.address(np.uint32)

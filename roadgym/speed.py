@@ -45,12 +45,11 @@ INTERVAL, PULL, FACTOR, VARIANCE, RATE_GAIN, SPREAD, FLOOR = 0, 1, 4, 10, 11, 12
 
 
 @LaneFunction
-def start(lanes: Any, words: Any, table: Any) -> None:
+def start(lane: Any, words: Any, table: Any) -> None:
     """Psi from its stationary law."""
-    for i in range(LANES):
-        first, _ = normal_pair(words[i], words[LANES + i])
-        lanes[SPEED_STATE + i] = table[SPREAD] * first
-        lanes[RATE + i] = max(lanes[SPEED + i] + table[RATE_GAIN] * lanes[SPEED_STATE + i], table[FLOOR])
+    first, _ = normal_pair(words[0], words[LANES])
+    lane[SPEED_STATE] = table[SPREAD] * first
+    lane[RATE] = max(lane[SPEED] + table[RATE_GAIN] * lane[SPEED_STATE], table[FLOOR])
 
 
 @LaneFunction

@@ -4,9 +4,20 @@ import numpy as np
 import pytest
 
 import analysis
-from agents.controllers import CONTROLLERS, AnalyticOptimum, ConstantDamping, SkyhookOnOff, make_controller
+import roadgym
+from agents.controllers import (
+    CONTROLLERS,
+    AnalyticOptimum,
+    ConstantDamping,
+    OneStepLookahead,
+    SkyhookOnOff,
+    make_controller,
+)
+from agents.evaluation import evaluate
 from agents.features import Features
 from roadgym import ParameterError
+from roadgym import compiled as rows
+from roadgym.plant import Plant
 from roadgym.task import make_task
 
 TASK = make_task(speed=(0.5, 3.0), bandwidth=(0.05, 0.5))
@@ -56,6 +67,82 @@ def test_skyhook_brakes_the_body_and_nothing_else():
     observation = observe(velocity=[1, 1, -1, -1], slope=[0.25, 0.75, -0.25, -0.75], speed=2.0, bandwidth=0.1)
     damping, _ = SkyhookOnOff(TASK).predict(observation)
     assert damping[:, 0] == pytest.approx([1.0, 0.05, 1.0, 0.05])
+
+
+def state_of(travel, relative, velocity, speed=2.0):
+    """An observation with this travel, relative velocity and body velocity."""
+    velocity, relative = np.asarray(velocity, float), np.asarray(relative, float)
+    return observe(displacement=travel, velocity=velocity, slope=(velocity - relative) / speed, speed=speed, bandwidth=0.1)
+
+
+def test_classical_rules_on_states_worked_out_by_hand():
+    # travel, relative velocity, body velocity; soft acceleration = -0.1 relative - travel
+    observation = state_of([1, -1, 1, 0.1], [1, 1, -1, 1], [0.2, 0.2, 0.2, 2.0])
+    add = make_controller("add", TASK).predict(observation)[0][:, 0]
+    assert add == pytest.approx([0.05, 1.0, 1.0, 0.05])
+    # slow body motion in the last state only: |acceleration| 0.2 against sqrt(2) * 2
+    mixed = make_controller("mixed_skyhook_add", TASK).predict(observation)[0][:, 0]
+    assert mixed == pytest.approx([0.05, 1.0, 1.0, 1.0])
+    least = make_controller("least_acceleration", TASK).predict(state_of([1, -1, 0.6], [1, 1, -1], [0, 0, 0]))[0][:, 0]
+    assert least == pytest.approx([0.05, 0.5, 0.3], abs=1e-6)
+    sky = make_controller("skyhook_continuous", TASK).predict(state_of([0, 0, 0], [1, 2, -1], [0.5, 0.2, 0.5]))[0][:, 0]
+    assert sky == pytest.approx([0.5, 0.1, 0.05], abs=1e-6)
+
+
+def test_lookahead_weighs_one_interval_and_what_follows():
+    """Its forms against a simulation: what an interval at D, and the best constant damping ever after, cost from a state."""
+    ratio, bandwidth = 1.5, 0.3
+    controller = OneStepLookahead(TASK)
+    dampings, forms, constants = controller.make_forms(ratio, bandwidth)
+    road = roadgym.GaussianRoad(bandwidth=bandwidth, noise_intensity=1.0)
+    best = analysis.optimal_damping(road, speed=ratio)
+    lanes, steps = 20_000, 150
+    state = np.array([0.8, -0.5, 1.2, 0.4])
+    costs = []
+    for k in (0, len(dampings) - 1):
+        plant = Plant(make_task(road=road, speed=ratio, precision="float64", substeps=8), lanes)
+        everyone = np.ones(lanes, np.bool_)
+        plant.seed(np.arange(lanes, dtype=np.uint64), everyone)
+        plant.reset(plant.forced({}), everyone)
+        for row, value in zip((rows.DISPLACEMENT, rows.VELOCITY, rows.LEVEL, rows.SLOPE), state, strict=True):
+            plant.set_row(row, value)
+        total = np.zeros(lanes)
+        for step in range(steps):
+            damping = dampings[k] if step == 0 else best.damping
+            total += 0.2 * (plant.step(np.full(lanes, damping, np.float32))[1][1] - best.cost)
+        costs.append(total)
+    simulated = costs[1] - costs[0]
+    predicted = np.einsum("i,kij,j->k", state, forms, state) + constants
+    assert simulated.mean() == pytest.approx(predicted[-1] - predicted[0], abs=4 * simulated.std() / np.sqrt(lanes) + 0.005)
+
+
+def test_clipped_regulator_is_linear_where_the_damper_can_follow():
+    controller = make_controller("clipped_lqr", TASK)
+    gain = controller.make_forms(1.5, 0.1)
+    observation = np.repeat(observe(velocity=0.3, level=0.2, slope=0.1, speed=1.5, bandwidth=0.1), 2, axis=0)
+    observation[1, :4] *= 0.5  # half the state, half the force, the same damping
+    damping = controller.predict(observation)[0][:, 0]
+    assert damping[0] == pytest.approx(damping[1], rel=1e-5)
+    relative = 0.3 - 1.5 * 0.1
+    assert damping[0] == pytest.approx(np.clip(-(gain @ [0, 0.3, 0.2, 0.1]) / (2 * relative), 0.05, 1.0), rel=1e-4)
+
+
+@pytest.mark.statistical
+def test_lookahead_improves_on_the_best_constant_everywhere():
+    environment = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.3)}
+    task = make_task(**environment)
+    drivers = {name: make_controller(name, task) for name in ("analytic_optimum", "one_step_lookahead")}
+    found = evaluate(
+        drivers,
+        environment=environment,
+        speeds=[0.7, 1.5, 3.0],
+        bandwidths=[0.1, 0.3],
+        episodes=64,
+        duration=150.0,
+        transient=30.0,
+    )
+    difference = found["analytic_optimum"].costs - found["one_step_lookahead"].costs
+    assert np.all(difference.mean(axis=1) > 4 * difference.std(axis=1) / 8)
 
 
 def test_controllers_say_which_signal_they_miss():

@@ -23,9 +23,11 @@ class Road(abc.ABC):
     ``__post_init__`` and supplies the abstract properties and three lane functions (see `roadgym.compiled`). They see the
     road in units of its standard deviation and in terms of the angle wavenumber * distance:
 
-    - ``prepare`` fills the COEFFICIENT rows from the rows TURN (angle a substep) and BANDWIDTH;
-    - ``start`` draws LEVEL and SLOPE from the stationary law with up to four words a lane;
-    - ``advance`` moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets LEVEL_EXCESS.
+    - ``prepare``, of one lane: fills the COEFFICIENT rows from the rows TURN (angle a substep) and BANDWIDTH; None if there is
+      nothing to prepare;
+    - ``start``, of one lane: draws LEVEL and SLOPE from the stationary law with up to four words;
+    - ``advance``, of a whole block: moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets
+      LEVEL_EXCESS.
     """
 
     kind: str = dataclasses.field(default="", init=False)
@@ -33,7 +35,7 @@ class Road(abc.ABC):
 
     has_slope: ClassVar[bool] = True  # is dZ/ds a number, that is, does Z contain no white noise in its derivative
     words_per_substep: ClassVar[int] = 2
-    prepare: ClassVar[LaneFunction]
+    prepare: ClassVar[LaneFunction | None] = None
     start: ClassVar[LaneFunction]
     advance: ClassVar[LaneFunction]
 

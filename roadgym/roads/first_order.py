@@ -21,35 +21,33 @@ EXCESS_MEAN, EXCESS_SHARED, EXCESS_NOISE = COEFFICIENT + 2 * LANES, COEFFICIENT 
 
 
 @LaneFunction
-def prepare(lanes: Any, words: Any, table: Any) -> None:
+def prepare(lane: Any, words: Any, table: Any) -> None:
     """Joint law of the level and of its mean above the chord, for unit variance, in double precision."""
-    for i in range(LANES):
-        angle = np.float64(lanes[TURN + i])
-        keep = math.exp(-angle)
-        lost = -math.expm1(-angle)  # 1 - keep
-        level_variance = lost * (1.0 + keep)
-        lanes[KEEP + i] = keep
-        lanes[LEVEL_NOISE + i] = math.sqrt(level_variance)
-        if angle > 1e-4:
-            area_variance = 2.0 * angle - 4.0 * lost + level_variance
-            covariance = lost * lost
-            rest = max(area_variance - covariance * covariance / level_variance, 0.0)
-            lanes[EXCESS_MEAN + i] = lost / angle - 0.5 * (1.0 + keep)
-            lanes[EXCESS_SHARED + i] = covariance / (angle * math.sqrt(level_variance)) - 0.5 * math.sqrt(level_variance)
-            lanes[EXCESS_NOISE + i] = math.sqrt(rest) / angle
-        else:  # leading orders, exact to better than 1e-4 of themselves
-            lanes[EXCESS_MEAN + i] = -angle * angle / 12.0
-            lanes[EXCESS_SHARED + i] = -angle * math.sqrt(2.0 * angle) / 12.0
-            lanes[EXCESS_NOISE + i] = math.sqrt(angle / 6.0)
+    angle = np.float64(lane[TURN])
+    keep = math.exp(-angle)
+    lost = -math.expm1(-angle)  # 1 - keep
+    level_variance = lost * (1.0 + keep)
+    lane[KEEP] = keep
+    lane[LEVEL_NOISE] = math.sqrt(level_variance)
+    if angle > 1e-4:
+        area_variance = 2.0 * angle - 4.0 * lost + level_variance
+        covariance = lost * lost
+        rest = max(area_variance - covariance * covariance / level_variance, 0.0)
+        lane[EXCESS_MEAN] = lost / angle - 0.5 * (1.0 + keep)
+        lane[EXCESS_SHARED] = covariance / (angle * math.sqrt(level_variance)) - 0.5 * math.sqrt(level_variance)
+        lane[EXCESS_NOISE] = math.sqrt(rest) / angle
+    else:  # leading orders, exact to better than 1e-4 of themselves
+        lane[EXCESS_MEAN] = -angle * angle / 12.0
+        lane[EXCESS_SHARED] = -angle * math.sqrt(2.0 * angle) / 12.0
+        lane[EXCESS_NOISE] = math.sqrt(angle / 6.0)
 
 
 @LaneFunction
-def start(lanes: Any, words: Any, table: Any) -> None:
+def start(lane: Any, words: Any, table: Any) -> None:
     """A standard normal level: the stationary law."""
-    zero = like(lanes, 0.0)
-    for i in range(LANES):
-        lanes[LEVEL + i], _ = normal_pair(words[i], words[LANES + i])
-        lanes[SLOPE + i] = zero
+    zero = like(lane, 0.0)
+    lane[LEVEL], _ = normal_pair(words[0], words[LANES])
+    lane[SLOPE] = zero
 
 
 @LaneFunction

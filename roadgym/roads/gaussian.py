@@ -42,23 +42,21 @@ LEVEL_NOISE, SHARED_NOISE, SLOPE_NOISE = COEFFICIENT + 3 * LANES, COEFFICIENT + 
 
 
 @LaneFunction
-def prepare(lanes: Any, words: Any, table: Any) -> None:
+def prepare(lane: Any, words: Any, table: Any) -> None:
     """Transition matrix and Cholesky factor of the transition covariance, in double precision (1 - a^2 - b^2 cancels)."""
-    for i in range(LANES):
-        a, b, d = oscillator(np.float64(lanes[TURN + i]), np.float64(lanes[BANDWIDTH + i]))
-        level_noise = math.sqrt(max(1.0 - a * a - b * b, 0.0))
-        shared_noise = b * (a - d) / level_noise if level_noise > 0.0 else 0.0
-        lanes[A + i], lanes[B + i], lanes[D + i] = a, b, d
-        lanes[LEVEL_NOISE + i] = level_noise
-        lanes[SHARED_NOISE + i] = shared_noise
-        lanes[SLOPE_NOISE + i] = math.sqrt(max(1.0 - b * b - d * d - shared_noise * shared_noise, 0.0))
+    a, b, d = oscillator(np.float64(lane[TURN]), np.float64(lane[BANDWIDTH]))
+    level_noise = math.sqrt(max(1.0 - a * a - b * b, 0.0))
+    shared_noise = b * (a - d) / level_noise if level_noise > 0.0 else 0.0
+    lane[A], lane[B], lane[D] = a, b, d
+    lane[LEVEL_NOISE] = level_noise
+    lane[SHARED_NOISE] = shared_noise
+    lane[SLOPE_NOISE] = math.sqrt(max(1.0 - b * b - d * d - shared_noise * shared_noise, 0.0))
 
 
 @LaneFunction
-def start(lanes: Any, words: Any, table: Any) -> None:
+def start(lane: Any, words: Any, table: Any) -> None:
     """Independent standard normals: the stationary law."""
-    for i in range(LANES):
-        lanes[LEVEL + i], lanes[SLOPE + i] = normal_pair(words[i], words[LANES + i])
+    lane[LEVEL], lane[SLOPE] = normal_pair(words[0], words[LANES])
 
 
 @LaneFunction

@@ -19,17 +19,11 @@ from .base import Road, check_fields
 
 
 @LaneFunction
-def prepare(lanes: Any, words: Any, table: Any) -> None:
-    """Nothing to prepare: the angle may differ from substep to substep."""
-
-
-@LaneFunction
-def start(lanes: Any, words: Any, table: Any) -> None:
+def start(lane: Any, words: Any, table: Any) -> None:
     """A uniform phase: the stationary law."""
-    for i in range(LANES):
-        phase = 2.0 * math.pi * uniform(words[i])
-        lanes[LEVEL + i] = math.sqrt(2.0) * math.cos(phase)
-        lanes[SLOPE + i] = -math.sqrt(2.0) * math.sin(phase)
+    phase = 2.0 * math.pi * uniform(words[0])
+    lane[LEVEL] = math.sqrt(2.0) * math.cos(phase)
+    lane[SLOPE] = -math.sqrt(2.0) * math.sin(phase)
 
 
 @LaneFunction
@@ -66,7 +60,6 @@ class HarmonicRoad(Road):
     amplitude: float = 1.0
 
     words_per_substep = 0
-    prepare = prepare
     start = start
     advance = advance
 

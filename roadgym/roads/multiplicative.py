@@ -48,8 +48,10 @@ from .gaussian import oscillator
 KEEP, KICK = COEFFICIENT, COEFFICIENT + LANES
 SHORT_COSINE, SHORT_SINE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
 LONG_COSINE, LONG_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
+CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 6 * LANES, COEFFICIENT + 7 * LANES  # of this substep only
 
-# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then knots of a curve
+# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then the knots of a curve and the
+# distances between them
 SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, CURVE = 0, 1, 2, 3, 4
 CELLS = 512
 LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
@@ -66,36 +68,34 @@ def rotations(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
 
 
 @LaneFunction
-def prepare(lanes: Any, words: Any, table: Any) -> None:
+def prepare(lane: Any, words: Any, table: Any) -> None:
     """Both rotations, g and the strength of the kick (for shapes below 1/2: eta), in double precision."""
-    for i in range(LANES):
-        short, long, keep = rotations(np.float64(lanes[TURN + i]), np.float64(lanes[BANDWIDTH + i]))
-        lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i] = math.cos(short), math.sin(short)
-        lanes[LONG_COSINE + i], lanes[LONG_SINE + i] = math.cos(long), math.sin(long)
-        lanes[KEEP + i] = keep
-        if table[SHAPE] < 0.5:
-            place = min(math.sqrt(-math.log(keep)) / LARGEST_ROOT, 1.0) * CELLS
-            cell = min(int(place), CELLS - 1)
-            low, high = np.float64(table[CURVE + cell]), np.float64(table[CURVE + cell + 1])
-            lanes[KICK + i] = low + (place - cell) * (high - low)
-        else:
-            lanes[KICK + i] = math.sqrt(1.0 - keep * keep)
+    short, long, keep = rotations(np.float64(lane[TURN]), np.float64(lane[BANDWIDTH]))
+    lane[SHORT_COSINE], lane[SHORT_SINE] = math.cos(short), math.sin(short)
+    lane[LONG_COSINE], lane[LONG_SINE] = math.cos(long), math.sin(long)
+    lane[KEEP] = keep
+    if table[SHAPE] < 0.5:
+        place = min(math.sqrt(-math.log(keep)) / LARGEST_ROOT, 1.0) * CELLS
+        cell = min(int(place), CELLS - 1)
+        low, high = np.float64(table[CURVE + cell]), np.float64(table[CURVE + cell + 1])
+        lane[KICK] = low + (place - cell) * (high - low)
+    else:
+        lane[KICK] = math.sqrt(1.0 - keep * keep)
 
 
 @LaneFunction
-def start(lanes: Any, words: Any, table: Any) -> None:
+def start(lane: Any, words: Any, table: Any) -> None:
     """The stationary law (11) on a circle: 1 - r^2/r0^2 = W^(1/alpha) with W uniform, and a uniform direction.
 
     On an ellipse the same law, stretched; the road warms up from it.
     """
     inverse_bound = np.float64(table[INVERSE_BOUND])
     square = 1.0 / inverse_bound if inverse_bound > 0.0 else np.float64(table[SQUARE_CHORD])
-    for i in range(LANES):
-        free = uniform(words[i]) ** (1.0 / np.float64(table[SHAPE]))
-        radius = math.sqrt(square * (1.0 - free))
-        angle = 2.0 * math.pi * uniform(words[LANES + i])
-        lanes[LEVEL + i] = radius * math.cos(angle) / math.sqrt(table[CHORD_RATIO])
-        lanes[SLOPE + i] = radius * math.sin(angle)
+    free = uniform(words[0]) ** (1.0 / np.float64(table[SHAPE]))
+    radius = math.sqrt(square * (1.0 - free))
+    angle = 2.0 * math.pi * uniform(words[LANES])
+    lane[LEVEL] = radius * math.cos(angle) / math.sqrt(table[CHORD_RATIO])
+    lane[SLOPE] = radius * math.sin(angle)
 
 
 @LaneFunction
@@ -105,19 +105,18 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
     twelfth = like(lanes, 1.0 / 12.0)
     fraction_unit = like(lanes, 2.0**-21)
     square_chord, chord_ratio, inverse_bound = table[SQUARE_CHORD], table[CHORD_RATIO], table[INVERSE_BOUND]
-    # The look-up keeps to a loop of its own, into the row that is free until the end: with it the rest would not vectorise.
+    # The look-up has a loop of its own and does nothing else, since it is the one part that does not vectorise. Of a word, the
+    # top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in the cell.
     for i in range(LANES):
-        # the top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in it
-        word = words[i]
-        cell = np.int64((word >> np.uint32(21)) & np.uint32(CELLS - 1))
-        place = like(lanes, np.int32(word & np.uint32(0x1FFFFF))) * fraction_unit
-        low, high = table[CURVE + cell], table[CURVE + cell + 1]
-        lanes[LEVEL_EXCESS + i] = low + place * (high - low)
+        cell = np.int64((words[i] >> np.uint32(21)) & np.uint32(CELLS - 1))
+        lanes[CELL_BEGIN + i] = table[CURVE + cell]
+        lanes[CELL_WIDTH + i] = table[CURVE + CELLS + 1 + cell]
     for i in range(LANES):
         word = words[i]
         early = np.int32(word) < np.int32(0)
         sign = like(lanes, np.int32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1)))
-        direction = sign * lanes[LEVEL_EXCESS + i]
+        place = like(lanes, np.int32(word & np.uint32(0x1FFFFF))) * fraction_unit
+        direction = sign * (lanes[CELL_BEGIN + i] + place * lanes[CELL_WIDTH + i])
 
         short_cosine, short_sine = lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i]
         long_cosine, long_sine = lanes[LONG_COSINE + i], lanes[LONG_SINE + i]
@@ -378,7 +377,8 @@ class MultiplicativeRoad(Road):
         # four units in the last place inside the circle, so that what is stored never lies outside
         bound = square_chord * (1 - 4 * float(np.finfo(self.precision).eps))
         curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
-        return np.concatenate([[square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape], curve])
+        constants = [square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape]
+        return np.concatenate([constants, curve, np.diff(curve)])
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
         """The same road with another bandwidth, and the same shape and variance; circles only."""
