@@ -100,18 +100,17 @@ def test_sound_plants_pass_in_other_units(road, speed_noise):
 
 
 @LaneFunction
-def prepare_noise_by_the_step(lanes, words, table):
+def prepare_noise_by_the_step(lane, words, table):
     """The Gaussian road's transition with its noise scaled by the step instead of the step's root."""
-    for i in range(LANES):
-        angle = np.float64(lanes[TURN + i])
-        a, b, d = oscillator(angle, np.float64(lanes[BANDWIDTH + i]))
-        scale = math.sqrt(angle)
-        level = math.sqrt(max(1.0 - a * a - b * b, 1e-300))
-        shared = b * (a - d) / level
-        lanes[gaussian.A + i], lanes[gaussian.B + i], lanes[gaussian.D + i] = a, b, d
-        lanes[gaussian.LEVEL_NOISE + i] = level * scale
-        lanes[gaussian.SHARED_NOISE + i] = shared * scale
-        lanes[gaussian.SLOPE_NOISE + i] = math.sqrt(max(1.0 - b * b - d * d - shared * shared, 0.0)) * scale
+    angle = np.float64(lane[TURN])
+    a, b, d = oscillator(angle, np.float64(lane[BANDWIDTH]))
+    scale = math.sqrt(angle)
+    level = math.sqrt(max(1.0 - a * a - b * b, 1e-300))
+    shared = b * (a - d) / level
+    lane[gaussian.A], lane[gaussian.B], lane[gaussian.D] = a, b, d
+    lane[gaussian.LEVEL_NOISE] = level * scale
+    lane[gaussian.SHARED_NOISE] = shared * scale
+    lane[gaussian.SLOPE_NOISE] = math.sqrt(max(1.0 - b * b - d * d - shared * shared, 0.0)) * scale
 
 
 class NoiseByTheStep(GaussianRoad):
@@ -119,18 +118,17 @@ class NoiseByTheStep(GaussianRoad):
 
 
 @LaneFunction
-def prepare_by_time(lanes, words, table):
+def prepare_by_time(lane, words, table):
     """The Gaussian road's transition over the time of the substep, its noise still that of the distance."""
-    for i in range(LANES):
-        time = np.float64(lanes[TURN + i]) / np.float64(lanes[SPEED + i])
-        a, b, d = oscillator(time, np.float64(lanes[BANDWIDTH + i]))
-        scale = math.sqrt(np.float64(lanes[SPEED + i])) if table[0] > 0.0 else 1.0
-        level = math.sqrt(max(1.0 - a * a - b * b, 1e-300))
-        shared = b * (a - d) / level
-        lanes[gaussian.A + i], lanes[gaussian.B + i], lanes[gaussian.D + i] = a, b, d
-        lanes[gaussian.LEVEL_NOISE + i] = level * scale
-        lanes[gaussian.SHARED_NOISE + i] = shared * scale
-        lanes[gaussian.SLOPE_NOISE + i] = math.sqrt(max(1.0 - b * b - d * d - shared * shared, 0.0)) * scale
+    time = np.float64(lane[TURN]) / np.float64(lane[SPEED])
+    a, b, d = oscillator(time, np.float64(lane[BANDWIDTH]))
+    scale = math.sqrt(np.float64(lane[SPEED])) if table[0] > 0.0 else 1.0
+    level = math.sqrt(max(1.0 - a * a - b * b, 1e-300))
+    shared = b * (a - d) / level
+    lane[gaussian.A], lane[gaussian.B], lane[gaussian.D] = a, b, d
+    lane[gaussian.LEVEL_NOISE] = level * scale
+    lane[gaussian.SHARED_NOISE] = shared * scale
+    lane[gaussian.SLOPE_NOISE] = math.sqrt(max(1.0 - b * b - d * d - shared * shared, 0.0)) * scale
 
 
 class DriftByTime(GaussianRoad):
@@ -149,15 +147,14 @@ class AllByTime(GaussianRoad):
 
 
 @LaneFunction
-def prepare_double_corner(lanes, words, table):
+def prepare_double_corner(lane, words, table):
     """The first-order road at twice its corner frequency, the area left out."""
-    for i in range(LANES):
-        keep = math.exp(-2.0 * np.float64(lanes[TURN + i]))
-        lanes[COEFFICIENT + i] = keep
-        lanes[COEFFICIENT + LANES + i] = math.sqrt(1.0 - keep * keep)
-        lanes[COEFFICIENT + 2 * LANES + i] = 0.0
-        lanes[COEFFICIENT + 3 * LANES + i] = 0.0
-        lanes[COEFFICIENT + 4 * LANES + i] = 0.0
+    keep = math.exp(-2.0 * np.float64(lane[TURN]))
+    lane[COEFFICIENT] = keep
+    lane[COEFFICIENT + LANES] = math.sqrt(1.0 - keep * keep)
+    lane[COEFFICIENT + 2 * LANES] = 0.0
+    lane[COEFFICIENT + 3 * LANES] = 0.0
+    lane[COEFFICIENT + 4 * LANES] = 0.0
 
 
 class DoubleCorner(FirstOrderRoad):

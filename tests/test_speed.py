@@ -192,7 +192,7 @@ def one_substep(task, damping, state, road_normals, speed_normals):
     for row, values in everything.items():
         block[row : row + LANES] = np.broadcast_to(values, LANES * columns).reshape(LANES, columns)
     scratch = np.zeros((kernel.SCRATCH, columns))
-    scratch[kernel.CONSTANT : kernel.CONSTANT + 3] = np.array([[interval], [1 / interval], [1.0]])
+    scratch[kernel.CONSTANT : kernel.CONSTANT + 2] = np.array([[interval], [1 / interval]])
     decay = free_decay(damping, interval, np.zeros(1))
     for row, value in zip((kernel.DECAY_11, kernel.DECAY_12, kernel.DECAY_22), decay, strict=True):
         scratch[row : row + LANES] = value
@@ -202,10 +202,11 @@ def one_substep(task, damping, state, road_normals, speed_normals):
         if noise is not None:
             table = noise.table(interval, task.car.natural_frequency, road)
             noise.advance.function(Vectors(block), words(speed_normals), table)
-        for column in range(columns):  # `prepare` is written for numbers
-            lanes = block[:, column].copy()
-            road.prepare.function(lanes, None, road.table())
-            block[:, column] = lanes
+        if road.prepare is not None:  # a function of one lane, written for numbers
+            for column, i in itertools.product(range(columns), range(LANES)):
+                lane = block[i:, column].copy()
+                road.prepare.function(lane, None, road.table())
+                block[i:, column] = lane
         road.advance.function(Vectors(block), words(road_normals), road.table())
     kernel.follow_road.function(Vectors(block), None, Vectors(scratch))
     return block.reshape(rows.SIZE // LANES, -1)
@@ -380,7 +381,7 @@ def driven_mean_squares(plant, damping, settle, measure, terms):
 def test_default_substep_holds_the_bar_by_simulation(kind, corner, measure):
     damping = 0.1
     noise = SPEED_NOISES[kind](intensity=1.0, **({} if corner is None else {"corner_frequency": corner}))
-    plant = started_plant(8192, road="harmonic", speed_noise=noise, speed=1.0)
+    plant = started_plant(24_576, road="harmonic", speed_noise=noise, speed=1.0)
     terms = finite_terms("harmonic", kind)
     found, error = driven_mean_squares(plant, damping, 60, measure, terms)
     exact = exact_mean_squares("harmonic", noise, damping=damping, speed=1.0)[terms]
@@ -471,5 +472,8 @@ def test_low_pass_noise_on_random_roads_agrees_with_an_independent_simulation(na
     found, error = driven_mean_squares(plant, damping, 20, 60, terms)
     witness = IndependentPlant(plant.task.road, noise, speed, damping, 0.02, 8192, seed=5)
     expected, its_error = (figures[terms] for figures in witness.mean_squares(20, 60))
-    assert np.all(np.hypot(error, its_error) / expected < 0.01)
+    assert np.all(np.hypot(error, its_error) / expected < 0.007)
     assert np.all(np.abs(found - expected) < 4 * np.hypot(error, its_error))
+    # the noise matters: at constant speed the figures are others
+    constant = exact_mean_squares(plant.task.road, None, damping=damping, speed=speed)[terms]
+    assert np.any(np.abs(found - constant) > 10 * np.hypot(error, its_error))
