@@ -219,6 +219,38 @@ def share_of_training() -> Result:
     )
 
 
+def euler_maruyama() -> Result:
+    """One sample of the paper's Fig. 7 with its statistics, one thread, against one normal draw of NumPy's."""
+    from analysis.simulation import simulate
+    from roadgym import WhiteSpeedNoise
+
+    samples = 4_000_000
+    generator, buffer = np.random.default_rng(0), np.empty(4096)
+
+    def run() -> float:
+        begin = time.perf_counter()
+        simulate(
+            "harmonic",
+            WhiteSpeedNoise(intensity=0.2),
+            damping=0.1,
+            speed=[1.0],
+            form="ito",
+            samples=samples,
+            histogram=(-6.0, 10.0, 160),
+            threads=1,
+        )
+        return (time.perf_counter() - begin) / samples
+
+    return side_by_side(
+        "Euler-Maruyama sample with its statistics over one standard_normal",
+        run,
+        lambda: seconds(lambda: generator.standard_normal(out=buffer)) / 4096,
+        "<= 1",
+        lambda ratio: ratio <= 1,
+        repeats=5,
+    )
+
+
 def memory() -> Result:
     """Bytes of state for each environment of a million."""
     plant = Plant(make_task(), 1_000_000)
@@ -253,6 +285,7 @@ CASES: dict[str, Callable[[], Result]] = {
     "adapter": adapter,
     "share_of_training": share_of_training,
     "memory": memory,
+    "euler_maruyama": euler_maruyama,
     "process_start": process_start,
 }
 
