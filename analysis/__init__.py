@@ -9,6 +9,7 @@ Damping, speed and bandwidth may be arrays; results have their common shape, and
 
 from __future__ import annotations
 
+from .feedback import OptimalFeedback, Refinement, optimal_feedback
 from .optimum import Optimum, optimal_damping
 from .response import MeanSquares, covariance, mean_squares
 from .roads import density, marginal_density, spectral_density
@@ -20,7 +21,9 @@ __all__ = [
     "Estimate",
     "MeanSquares",
     "MomentSystem",
+    "OptimalFeedback",
     "Optimum",
+    "Refinement",
     "Simulation",
     "Stability",
     "covariance",
@@ -32,6 +35,7 @@ __all__ = [
     "mean_squares",
     "moment_system",
     "optimal_damping",
+    "optimal_feedback",
     "rotation_numbers",
     "simulate",
     "simulate_stability",
