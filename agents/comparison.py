@@ -36,6 +36,8 @@ class Row:
         damping: the constant damping ratio, likewise.
         gain: share of the analytic optimum's cost that is saved, with its standard error from paired noise.
         switches: damping switches a second.
+        gap_closed: share of the way from the best constant damping to the optimal feedback, where that was driven and saves
+            more than 2 % of the cost; else None.
     """
 
     controller: str
@@ -47,6 +49,7 @@ class Row:
     gain: float
     gain_standard_error: float
     switches: float
+    gap_closed: float | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,6 +106,10 @@ def make_rows(task: Task, evaluations: Mapping[str, Evaluation]) -> tuple[Row, .
             # error of the ratio by linearisation, from paired episodes: both drove over the same roads
             spread = standard_error((evaluation.costs[k] - (1 - gain) * best[k])[None])[0] / mean
             damping = constant_damping(task, name, point)
+            gap_closed = None
+            if "optimal_feedback" in evaluations:
+                room = mean - float(evaluations["optimal_feedback"].mean[k])
+                gap_closed = (mean - float(evaluation.mean[k])) / room if room > 0.02 * mean else None
             rows.append(
                 Row(
                     controller=name,
@@ -114,6 +121,7 @@ def make_rows(task: Task, evaluations: Mapping[str, Evaluation]) -> tuple[Row, .
                     gain=gain,
                     gain_standard_error=float(spread),
                     switches=float(evaluation.switches[k]),
+                    gap_closed=gap_closed,
                 )
             )
     return tuple(rows)
@@ -178,6 +186,7 @@ TITLES = {
     "d_min": "D_min",
     "d_max": "D_max",
     "skyhook": "on-off skyhook",
+    "optimal_feedback": "optimal feedback",
 }
 
 
@@ -198,6 +207,8 @@ def table(comparison: Comparison) -> str:
             head, under = [*head, ""], [*under, "D"]
         if name == AGENT:
             head, under = [*head, ""], [*under, "gain"]
+            if "optimal_feedback" in names:
+                head, under = [*head, ""], [*under, "gap closed"]
     lines = [head, under]
     for point in comparison.points:
         cells = [f"{task.frequency_ratio(point.speed):g}"] + ([f"{point.bandwidth:g}"] if with_bandwidth else [])
@@ -210,6 +221,8 @@ def table(comparison: Comparison) -> str:
                 cells.append(f"{row.damping:.3f}")
             if name == AGENT:
                 cells.append(f"{100 * row.gain:.1f}({max(1, round(1000 * row.gain_standard_error))})%")
+                if "optimal_feedback" in names:
+                    cells.append("n/a" if row.gap_closed is None else f"{100 * row.gap_closed:.0f}%")
         lines.append(cells)
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     # a title may reach into the columns that belong to it
@@ -228,6 +241,8 @@ def table(comparison: Comparison) -> str:
     text.append("")
     text.append(f"cost: mean square of {weights} over E Z^2, with the standard error of the last digits in brackets;")
     text.append(f"gain: share of the cost of the best constant D that the agent saves; D within [{low:g}, {high:g}].")
+    if "optimal_feedback" in names:
+        text.append("gap closed: share of the way from the best constant D to the optimal feedback.")
     return "\n".join(text)
 
 

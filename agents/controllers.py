@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import abc
 import itertools
+import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -377,6 +379,36 @@ class OneStepLookahead(Scheduled):
         return np.asarray(dampings[np.argmin(costs, axis=1)])
 
 
+class OptimalFeedback(Scheduled):
+    """The best state feedback at each operating point, by dynamic programming; see `analysis.optimal_feedback`.
+
+    Each operating point takes some seconds the first time, and is kept in the user's cache folder.
+    """
+
+    def make_forms(self, ratio: float, bandwidth: float) -> analysis.OptimalFeedback:
+        """The feedback at this operating point."""
+        task = self.task
+        return analysis.optimal_feedback(
+            road_at(task, float(f"{bandwidth:.6g}")),
+            # observed in single precision: six digits make neighbouring roundings one operating point, and one file
+            speed=float(f"{ratio * task.car.natural_frequency / task.road.wavenumber:.6g}"),
+            natural_frequency=task.car.natural_frequency,
+            weights=task.weights_by_name,
+            bounds=task.damping_range,
+            control_interval=task.control_interval,
+            cache=cache_folder(),
+        )
+
+    def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
+        """Damping ratios, shape (n,), of states, shape (n, 4)."""
+        return np.asarray(forms.damping(state))
+
+
+def cache_folder() -> Path:
+    """Where feedbacks are kept: $XDG_CACHE_HOME/roadgym, by default ~/.cache/roadgym."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roadgym"
+
+
 CONTROLLERS: dict[str, Callable[[Task], Controller]] = {
     "analytic_optimum": AnalyticOptimum,
     "d_min": lambda task: ConstantDamping(task, task.damping_range[0]),
@@ -388,6 +420,7 @@ CONTROLLERS: dict[str, Callable[[Task], Controller]] = {
     "least_acceleration": LeastAcceleration,
     "clipped_lqr": ClippedLinearQuadratic,
     "one_step_lookahead": OneStepLookahead,
+    "optimal_feedback": OptimalFeedback,
 }
 
 

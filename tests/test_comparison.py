@@ -11,9 +11,9 @@ import pytest
 
 import agents
 from agents.cli import main
-from agents.comparison import compare, table, with_error, write
+from agents.comparison import Comparison, compare, make_rows, table, with_error, write
 from agents.controllers import ConstantDamping, make_controller, theoretical_cost
-from agents.evaluation import evaluate
+from agents.evaluation import Evaluation, OperatingPoint, evaluate
 from roadgym import ParameterError
 from roadgym.task import make_task
 
@@ -203,3 +203,21 @@ def test_help_is_quick_and_has_an_example():
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "example: roadgym compare --output results" in output
     assert output.endswith("False\n")
+
+
+def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
+    point = OperatingPoint(1.5, 0.1)
+    generator = np.random.default_rng(1)
+
+    def driven(mean):
+        return Evaluation((point,), generator.normal(mean, 1e-3, (1, 32)), np.zeros(1))
+
+    costs = {"agent": 0.4, "analytic_optimum": 1.0, "optimal_feedback": 0.2}
+    rows = make_rows(TASK, {name: driven(mean) for name, mean in costs.items()})
+    assert [row.gap_closed for row in rows] == pytest.approx([0.75, 0.0, 1.0], abs=0.01)
+    costs["optimal_feedback"] = 0.99  # nothing to be gained
+    rows = make_rows(TASK, {name: driven(mean) for name, mean in costs.items()})
+    assert [row.gap_closed for row in rows] == [None] * 3
+    text = table(Comparison(rows, TASK, {}))
+    assert "gap closed" in text
+    assert "n/a" in text
