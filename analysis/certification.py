@@ -80,14 +80,16 @@ class Certificate:
     """All lines of one plant.
 
     Attributes:
-        plant: the plant and how it was driven, in words.
-        level: p-value below which a line fails.
+        plant: road and speed noise, in words.
+        drive: how the plant was driven, in words.
+        significance: p-value below which a line fails.
         lines: the figures.
         left_out: what has no closed form on this plant, and why.
     """
 
     plant: str
-    level: float
+    drive: str
+    significance: float
     lines: tuple[Line, ...]
     left_out: tuple[str, ...]
 
@@ -101,7 +103,7 @@ class Certificate:
         head = ("", "measured", "expected", "standard error", "distance", "p-value", "verdict")
         rows = [head, *(_cells(line) for line in self.lines)]
         widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-        text = [self.plant, ""]
+        text = [self.plant, self.drive, ""]
         for name, *cells in rows:
             padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
             text.append("  ".join([name.ljust(widths[0]), *padded]))
@@ -110,7 +112,7 @@ class Certificate:
             "",
             f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
             "Distances are in standard errors, which come from independent lanes. A line fails where its p-value is below "
-            f"{self.level:.2g}; a sound plant",
+            f"{self.significance:.2g}; a sound plant",
             f"fails any with a probability of at most {FALSE_ALARM_RATE:g}. p-values allow for a bias of "
             f"{100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car.",
         ]
@@ -122,11 +124,9 @@ class Certificate:
         def finite(value: Any) -> Any:
             return None if isinstance(value, float) and not math.isfinite(value) else value
 
-        lines = [{name: finite(value) for name, value in dataclasses.asdict(line).items()} for line in self.lines]
-        return json.dumps(
-            {"plant": self.plant, "passed": self.passed, "level": self.level, "lines": lines, "left_out": list(self.left_out)},
-            indent=2,
-        )
+        data = dataclasses.asdict(self) | {"passed": self.passed}
+        data["lines"] = [{name: finite(value) for name, value in line.items()} for line in data["lines"]]
+        return json.dumps(data, indent=2)
 
 
 def certify(
@@ -214,22 +214,23 @@ def certify(
     except ParameterError as error:
         left_out.append(f"mean squares of the car ({error})")
 
-    level = FALSE_ALARM_RATE / sum(line.p_value is not None for line in lines)
-    noise = "no speed noise" if speed_noise is None else f"{speed_noise.kind} speed noise"
+    significance = FALSE_ALARM_RATE / sum(line.p_value is not None for line in lines)
+    noise = "no speed noise" if speed_noise is None else f"{_words(speed_noise)} speed noise"
     return Certificate(
-        plant=f"{road.kind} road, {noise}: speed {speed:g} m/s, damping {damping:g}, natural frequency "
-        f"{natural_frequency:g} rad/s; {lanes} lanes, seed {seed}",
-        level=level,
+        plant=f"{_words(road)} road, {noise}",
+        drive=f"speed {speed:g} m/s, damping {damping:g}, natural frequency {natural_frequency:g} rad/s; "
+        f"{lanes} lanes, seed {seed}",
+        significance=significance,
         # a figure that is not a number has no p-value either, and fails
         lines=tuple(
-            line if line.p_value is None else dataclasses.replace(line, passed=line.p_value >= level) for line in lines
+            line if line.p_value is None else dataclasses.replace(line, passed=line.p_value >= significance) for line in lines
         ),
         left_out=tuple(left_out),
     )
 
 
 def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLike, *, speed: float) -> FloatArray:
-    """Autocovariance E Z(s) Z(s + t) of the level in time, for the lags t; see the module's docstring.
+    """Autocovariance E Z(0) Z(t) of the level in time; see the module's docstring.
 
     Args:
         road: a road.
@@ -385,6 +386,16 @@ def _largest_difference(name: str, test: Any, lanes: float) -> Line:
         p_value=float(test.pvalue),
         passed=False,
     )
+
+
+def _words(component: Road | SpeedNoise) -> str:
+    """Kind and parameters."""
+    parameters = [
+        f"{name} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
+        for name, value in dataclasses.asdict(component).items()
+        if name != "kind" and value is not None
+    ]
+    return f"{component.kind} ({', '.join(parameters)})"
 
 
 def _at(report: Callable[[str, int, int], None], what: str) -> Callable[[int, int], None]:

@@ -200,7 +200,7 @@ def _density_figure(shape: float, claim: bool) -> Drawing:
     if claim:
         bar.set_ticks([0.2, 0.5, 1.0, 2.0], labels=["0.2", "0.5", "1", "2"])
         bar.minorticks_off()
-    figure.set_layout_engine("constrained", wspace=0.12)
+    figure.set_layout_engine("constrained", w_pad=0.14)
     z = np.linspace(-0.8999, 0.8999, 1001)
     marginal = marginal_density(road, z)
     columns = {"level (m)": z, "marginal density (1/m)": marginal}
@@ -327,7 +327,7 @@ def figure_7(full: bool = False, report: Report | None = None) -> Drawing:
         axis.set_ylabel("amplitude over $\\mu$ (1)")
     axes[0, 0].set(xlim=(0, 2), xticks=[0, 0.5, 1, 1.5, 2], ylim=(-6, 9))
     for axis in axes[:, 1]:
-        axis.legend(fontsize=8)
+        axis.legend(loc="lower right", fontsize=8)
     figure.colorbar(mesh, ax=axes, label="density of the amplitude (1)", shrink=0.7, extend="max", pad=0.02)
     return Drawing(figure, {"means": dict(means), "densities": dict(densities)})
 

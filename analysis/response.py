@@ -65,7 +65,7 @@ def mean_squares(
     Exact on every road, and under speed noise on the harmonic road: to rounding without low-pass noise, and with it to 1e-10 of
     each mean square for D <= 5, however slow, fast or weak it is. Of a multiplicative road only variance and bandwidth enter.
 
-    Low-pass noise on a random road has no closed form: there the plant itself is driven, a second or so for each operating
+    Low-pass noise on a random road has no closed form: there the plant itself is driven, seconds for each operating
     point, and the result has a standard error. The noise has a fixed seed, so the same call gives the same numbers.
 
     Args:

@@ -48,7 +48,7 @@ from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, Multiplica
 from roadgym.speed import LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
 from roadgym.task import LARGEST_ANGLE, make_task
 
-from .checks import FloatArray, one_of
+from .checks import FloatArray, non_negative_array, one_of, positive_array
 from .phase_noise import slowest_decay
 
 SETTLED = 8.0  # times the slowest time constant before a record: e^-8 of the start is left
@@ -97,7 +97,7 @@ def drive_together(
     if isinstance(speed_noise, LowPassSpeedNoise) and not isinstance(road, HarmonicRoad):
         spread = speed_noise.intensity * math.sqrt(speed_noise.corner_frequency / 2)  # of the angular rate
         if spread > turn / 4:  # the car stands still now and then, which the plant resolves to first order in the substep
-            fastest = max(fastest, turn + 2 * spread, 3 * speed_noise.corner_frequency)
+            fastest = max(fastest, turn + 2 * spread, 2 * speed_noise.corner_frequency)
     interval = INTERVAL_SUBSTEPS * LARGEST_ANGLE / fastest
     task = make_task(
         road=road,
@@ -590,7 +590,7 @@ def simulate(
     speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
     *,
     damping: float,
-    speed: Sequence[float],
+    speed: npt.ArrayLike,
     natural_frequency: float = 1.0,
     form: str = "original",
     samples: int = 20_000_000,
@@ -610,7 +610,7 @@ def simulate(
         road: a road, or its name or mapping.
         speed_noise: noise on the speed, or its name or mapping, or None.
         damping: D > 0, 1.
-        speed: speeds v >= 0, m/s, above zero on random roads; each has noise of its own.
+        speed: speeds v >= 0, m/s, a number or several, above zero on random roads; each has noise of its own.
         natural_frequency: w1, rad/s.
         form: "original", the equations of the plant; "ito" or "printed", the amplitudes (20)-(23) under white noise.
         samples: N, steps at each speed, shared out between the lanes.
@@ -631,16 +631,17 @@ def simulate(
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
     damping, w1 = positive("damping", damping), positive("natural_frequency", natural_frequency)
-    speeds = [(non_negative if isinstance(road, HarmonicRoad) else positive)("speed", value) for value in speed]
+    check = non_negative_array if isinstance(road, HarmonicRoad) else positive_array
+    speeds = check("speed", speed).reshape(-1).tolist()
     h = positive("time_step", time_step)
     if whole("lanes", lanes) % LANES:
         raise ParameterError(f"lanes must be a multiple of {LANES}, got {lanes}")
     if whole("samples", samples) < CHUNK * lanes:
         raise ParameterError(f"samples must be at least {CHUNK * lanes} for {lanes} lanes, got {samples}")
     whole("seed", seed, low=0)
-    low, high, cells = (0.0, 1.0, 0) if histogram is None else histogram
-    if cells and (whole("cells of the histogram", cells) < 1 or not number("low edge", low) < number("high edge", high)):
-        raise ParameterError(f"histogram must be (low, high, cells) with low < high, got {histogram!r}")
+    low, high, cells = _histogram(histogram)
+    if threads is not None:
+        whole("threads", threads)
 
     systems = [_make_system(road, speed_noise, damping, value, w1, form) for value in speeds]
     blocks = lanes // LANES
@@ -682,6 +683,18 @@ def simulate(
         counts = sum(found[place, block, 1][1] for block in range(blocks))
         results.append(_summary(value, fine, coarse, np.asarray(counts), (low, high, cells), divergent, chunks * CHUNK * lanes))
     return results
+
+
+def _histogram(value: Any) -> tuple[float, float, int]:
+    """Low edge, high edge and number of cells; no cells for None."""
+    if value is None:
+        return 0.0, 1.0, 0
+    if not isinstance(value, Sequence) or len(value) != 3:
+        raise ParameterError(f"histogram must be (low, high, cells), got {value!r}")
+    low, high = number("histogram, low edge,", value[0]), number("histogram, high edge,", value[1])
+    if low >= high:
+        raise ParameterError(f"histogram must be (low, high, cells) with low < high, got {value!r}")
+    return low, high, whole("histogram, number of cells,", value[2])
 
 
 def _in_threads(
@@ -811,6 +824,8 @@ def simulate_stability(
         threads: how many; results do not depend on it.
     """
     one_of("form", form, FORMS)
+    if threads is not None:
+        whole("threads", threads)
     damping, w1 = positive("damping", damping), positive("natural_frequency", natural_frequency)
     ratio = non_negative("speed", speed) * positive("wavenumber", wavenumber) / w1
     strength = positive("intensity", intensity) / math.sqrt(w1)

@@ -108,7 +108,7 @@ def test_table_knows_the_natural_frequency():
 @pytest.mark.parametrize("name", list(SPEED_NOISES))
 def test_driven_phase_has_its_law(name):
     """After many substeps the phase is Gaussian, with the mean and the variance of the equation."""
-    number, intervals = 100_000, 25
+    number, intervals = 50_000, 25
     noise = SPEED_NOISES[name](intensity=0.3)
     plant = started_plant(number, road="harmonic", speed_noise=noise, speed=1.0, precision="float64")
     first = np.arctan2(-plant.row(rows.SLOPE), plant.row(rows.LEVEL))
@@ -215,9 +215,9 @@ def one_substep(task, damping, state, road_normals, speed_normals):
 def scheme_mean_squares(road, noise, *, damping, speed, interval, modes=24, outer=40, inner=6):
     """Stationary mean squares of the discrete scheme over E Z^2, in the order of MEAN_SQUARES; infinite ones are meaningless.
 
-    With x = (Y, X) and r = (Z, U), one substep is x' = C x + G r + H n, r' = M r + N n, where n is normal, C fixed, and the
-    rest depends on Psi and on the noise of the speed. E r r' is known and independent of Psi; q_m = E x r' h_m(Psi), h_m being the
-    normed Hermite polynomials, obeys a linear equation, and with it E x x' a discrete Lyapunov equation.
+    With x = (Y, X) and r = (Z, U), one substep is x -> C x + G r + H n, r -> M r + N n, where n is normal, C fixed, and the
+    rest depends on Psi and on the noise of the speed. E r r^T is known and independent of Psi. q_m = E x r^T h_m(Psi), with the
+    normed Hermite polynomials h_m, obeys a linear equation, and then E x x^T a discrete Lyapunov equation.
     """
     task = make_task(road=road, speed_noise=noise, speed=speed, control_interval=interval, substeps=1, precision="float64")
     road, noise = task.road, task.speed_noise
@@ -376,14 +376,14 @@ def driven_mean_squares(plant, damping, settle, measure, terms):
 @pytest.mark.statistical
 @pytest.mark.parametrize(
     ("kind", "corner", "measure"),
-    [("white", None, 150), ("low_pass", 0.05, 500), ("low_pass", 10.0, 150), ("high_pass", 0.05, 150), ("high_pass", 10.0, 60)],
+    [("white", None, 500), ("low_pass", 0.05, 500), ("low_pass", 10.0, 500), ("high_pass", 0.05, 500), ("high_pass", 10.0, 50)],
 )
 def test_default_substep_holds_the_bar_by_simulation(kind, corner, measure):
     damping = 0.1
     noise = SPEED_NOISES[kind](intensity=1.0, **({} if corner is None else {"corner_frequency": corner}))
     plant = started_plant(24_576, road="harmonic", speed_noise=noise, speed=1.0)
     terms = finite_terms("harmonic", kind)
-    found, error = driven_mean_squares(plant, damping, 60, measure, terms)
+    found, error = driven_mean_squares(plant, damping, 100, measure, terms)
     exact = exact_mean_squares("harmonic", noise, damping=damping, speed=1.0)[terms]
     assert np.all(error / exact < 0.0015)
     assert np.all(np.abs(found / exact - 1) < 0.005 + 3 * error / exact)
@@ -392,9 +392,9 @@ def test_default_substep_holds_the_bar_by_simulation(kind, corner, measure):
 class IndependentPlant:
     """Low-pass noise on the speed of a random road, in plain NumPy: nothing of it comes from the package but parameters.
 
-    The noise is exact, with the trapezoidal rule for the distance of a step, which must be fine; the road over the random distance of a step by Strang's splitting into half a rotation, the
-    rest of the equation and half a rotation, each exact (first order: exact as it is); between, the level is a straight line,
-    on which the car's motion is exact.
+    The noise is exact, with the trapezoidal rule for the distance of a step. The road follows over that distance by Strang's
+    splitting into half a rotation, the rest of the equation and half a rotation (first order: exact). Between, the level is a
+    straight line, on which the car's motion is exact. The steps must be fine.
     """
 
     def __init__(self, road, noise, speed, damping, step, lanes, seed):
@@ -470,9 +470,9 @@ def test_low_pass_noise_on_random_roads_agrees_with_an_independent_simulation(na
     plant = started_plant(8192, road={"kind": name, **parameters}, speed_noise=noise, speed=speed)
     terms = finite_terms(name, "low_pass")
     found, error = driven_mean_squares(plant, damping, 20, 60, terms)
-    witness = IndependentPlant(plant.task.road, noise, speed, damping, 0.02, 8192, seed=5)
+    witness = IndependentPlant(plant.task.road, noise, speed, damping, 0.025, 6000, seed=5)
     expected, its_error = (figures[terms] for figures in witness.mean_squares(20, 60))
-    assert np.all(np.hypot(error, its_error) / expected < 0.007)
+    assert np.all(np.hypot(error, its_error) / expected < 0.01)
     assert np.all(np.abs(found - expected) < 4 * np.hypot(error, its_error))
     # the noise matters: at constant speed the figures are others
     constant = exact_mean_squares(plant.task.road, None, damping=damping, speed=speed)[terms]
