@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from .controllers import CONTROLLERS as CONTROLLERS
     from .controllers import Controller as Controller
     from .controllers import make_controller as make_controller
+    from .errors import AgentError as AgentError
     from .evaluation import evaluate as evaluate
     from .training import Agent as Agent
-    from .training import AgentError as AgentError
     from .training import load as load
     from .training import train as train
 
 _HOME = {
     "CONTROLLERS": "controllers",
     "Agent": "training",
-    "AgentError": "training",
+    "AgentError": "errors",
     "Controller": "controllers",
     "compare": "comparison",
     "evaluate": "evaluation",

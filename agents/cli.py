@@ -15,20 +15,20 @@ from typing import Any
 
 from roadgym import ROADS, SPEED_NOISES, ParameterError, __version__
 
+from .errors import AgentError
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     parser = make_parser()
     chosen = parser.parse_args(arguments)
-    from .training import AgentError
-
     try:
         code: int | None = chosen.run(chosen)
     except (ParameterError, AgentError) as error:
         print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"roadgym {chosen.command}: interrupted; an agent in training is kept, resume it with --resume", file=sys.stderr)
+        print(f"roadgym {chosen.command}: interrupted; the same command again goes on where it can", file=sys.stderr)
         return 130
     except BrokenPipeError:
         return 0

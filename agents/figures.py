@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from analysis.response import needs_simulation
 from roadgym.vector import QuarterCarVectorEnv
 
 from .controllers import optimum, theoretical_cost
@@ -71,7 +72,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
                 label=LABELS.get(name, name),
                 **style,
             )
-            if rows[0].theory is not None:
+            if rows[0].theory is not None and not needs_simulation(task.road, task.speed_noise):
                 low, high = task.damping_range
                 constant = {"d_min": low, "d_max": high}
                 curve = [
@@ -86,7 +87,9 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
         axis.set_title(f"bandwidth $\\delta = {bandwidth:g}$" if bandwidth else task.road.kind)
         axis.grid(visible=True, which="both", linewidth=0.3)
     axes[0].set_ylabel("cost: weighted mean square over $E\\,Z^2$")
-    axes[0].legend(title="marks: driven, ± 2 standard errors\nlines: theory", fontsize=8, title_fontsize=8)
+    axes[0].legend(
+        title="marks: driven, ± 2 standard errors\nlines: theory (dashed: a guide to the eye)", fontsize=8, title_fontsize=8
+    )
     save_figure(figure, path)
 
 

@@ -36,6 +36,7 @@ import roadgym
 from roadgym.parameters import ParameterError, whole
 from roadgym.task import Task, make_task
 
+from .errors import AgentError
 from .features import Features
 from .vec_env import QuarterCarVecEnv, damping_from_action, observation_space
 
@@ -45,10 +46,6 @@ DESCRIPTION = "agent.json"
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
 PACKAGES = ("roadgym", "gymnasium", "stable-baselines3", "torch", "numpy", "numba", "scipy")
 DEFAULT_ENVIRONMENT: dict[str, Any] = {"road": "multiplicative", "speed": (0.5, 3.2), "bandwidth": (0.05, 0.5)}
-
-
-class AgentError(ValueError):
-    """A folder that does not hold a usable agent, or that cannot be written."""
 
 
 def versions() -> dict[str, str]:

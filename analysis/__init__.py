@@ -9,6 +9,7 @@ Damping, speed and bandwidth may be arrays; results have their common shape, and
 
 from __future__ import annotations
 
+from .certification import Certificate, certify
 from .feedback import OptimalFeedback, Refinement, optimal_feedback
 from .optimum import Optimum, optimal_damping
 from .response import MeanSquares, covariance, mean_squares
@@ -18,6 +19,7 @@ from .simulation import Estimate, Simulation, Stability, simulate, simulate_stab
 from .stability import critical_noise, lyapunov_exponents, rotation_numbers
 
 __all__ = [
+    "Certificate",
     "Estimate",
     "MeanSquares",
     "MomentSystem",
@@ -26,6 +28,7 @@ __all__ = [
     "Refinement",
     "Simulation",
     "Stability",
+    "certify",
     "covariance",
     "critical_noise",
     "density",

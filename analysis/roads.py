@@ -31,13 +31,14 @@ def density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike, slope: n
 
     Raises:
         ParameterError: a road without joint density: the slope of a first-order road is white noise, and level and slope of
-            a harmonic road lie on a curve.
+            a harmonic road lie on a curve; a multiplicative road on an ellipse, whose density is not known.
     """
     road = make_road(road)
     z, u = broadcast(level=number_array("level", level), slope=number_array("slope", slope))
     if isinstance(road, GaussianRoad):
         return np.exp(-(z * z + u * u) / (2 * road.variance)) / (2 * math.pi * road.variance)
     if isinstance(road, MultiplicativeRoad):
+        _check_circle(road)
         peak = road.shape / (math.pi * road.level_bound**2)
         return peak * _bounded_power(np.hypot(z, u) / road.level_bound, road.shape - 1)
     cause = {
@@ -45,6 +46,14 @@ def density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike, slope: n
         "harmonic": "level and slope of a harmonic road lie on an ellipse",
     }.get(road.kind, f"none is known for a {road.kind} road")
     raise ParameterError(f"road must have a joint density of level and slope, as gaussian and multiplicative roads do: {cause}")
+
+
+def _check_circle(road: MultiplicativeRoad) -> None:
+    """Raise `ParameterError` on an ellipse, where (11) does not hold."""
+    if not road.is_circle:
+        raise ParameterError(
+            f"slope_bound must be None or level_bound, {road.level_bound:g}, for a known density, got {road.slope_bound:g}"
+        )
 
 
 def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike) -> FloatArray:
@@ -67,6 +76,7 @@ def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike)
     if isinstance(road, HarmonicRoad):
         return _bounded_power(np.abs(z) / road.amplitude, -0.5) / (math.pi * road.amplitude)
     if isinstance(road, MultiplicativeRoad):
+        _check_circle(road)
         from scipy.special import poch
 
         peak = float(poch(road.shape + 0.5, 0.5)) / (math.sqrt(math.pi) * road.level_bound)

@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES
+from roadgym.car import MEAN_SQUARES, QuarterCar
 from roadgym.compiled import LANES, LEVEL, SLOPE, LaneFunction, call, compiled
 from roadgym.kernel import RESULT_SQUARE
 from roadgym.noise import fill_words, keys_from_seeds, normal_pair
@@ -45,8 +45,8 @@ from roadgym.parameters import ParameterError, non_negative, number, positive, w
 from roadgym.plant import Plant
 from roadgym.reward import divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
-from roadgym.speed import LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
-from roadgym.task import LARGEST_ANGLE, make_task
+from roadgym.speed import SpeedNoise, WhiteSpeedNoise, make_speed_noise
+from roadgym.task import LARGEST_ANGLE, fastest_rate, make_task
 
 from .checks import FloatArray, non_negative_array, one_of, positive_array
 from .phase_noise import slowest_decay
@@ -93,11 +93,7 @@ def drive_together(
     """
     low, high = float(damping.min()), float(damping.max())
     turn = speed * road.wavenumber
-    fastest = max(turn, natural_frequency)
-    if isinstance(speed_noise, LowPassSpeedNoise) and not isinstance(road, HarmonicRoad):
-        spread = speed_noise.intensity * math.sqrt(speed_noise.corner_frequency / 2)  # of the angular rate
-        if spread > turn / 4:  # the car stands still now and then, which the plant resolves to first order in the substep
-            fastest = max(fastest, turn + 2 * spread, 2 * speed_noise.corner_frequency)
+    fastest = fastest_rate(road, speed_noise, QuarterCar(natural_frequency=natural_frequency), speed)
     interval = INTERVAL_SUBSTEPS * LARGEST_ANGLE / fastest
     task = make_task(
         road=road,

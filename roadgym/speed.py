@@ -112,11 +112,18 @@ class SpeedNoise(abc.ABC):
         noise = np.array([1.0 if corner > 0 else 0.0, white, 0.0]) * self.intensity / math.sqrt(natural_frequency)
 
         def law(time: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-            # C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automat. Contr. 23, 1978
-            block = np.block([[-drift, np.outer(noise, noise)], [np.zeros((3, 3)), drift.T]]) * time
+            # C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automat. Contr. 23, 1978,
+            # over a time in which the filter moves little, since the block holds exp(+corner time) too; then doubled
+            doublings = max(0, math.ceil(math.log2(max(corner * time, 1e-300))))
+            part = time / 2**doublings
+            block = np.block([[-drift, np.outer(noise, noise)], [np.zeros((3, 3)), drift.T]]) * part
             exponential = expm(block)
             transition = exponential[3:, 3:].T
-            return transition, transition @ exponential[:3, 3:]
+            covariance = transition @ exponential[:3, 3:]
+            for _ in range(doublings):
+                covariance = transition @ covariance @ transition.T + covariance
+                transition = transition @ transition
+            return transition, covariance
 
         transition, covariance = law(interval)
         # mean variance of the angle about its chord, given where it ends: 3-point Gauss-Legendre over the substep

@@ -97,6 +97,23 @@ def _observable(road: Road, speed_noise: SpeedNoise | None, bandwidth: tuple[flo
     return names
 
 
+def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, speed: float) -> float:
+    """Largest angular rate, rad/s, that a substep must resolve: of the car, of the road at ``speed``, and of low-pass noise.
+
+    On random roads a noise whose standard deviation is more than a quarter of the speed stops the car now and then. The angle
+    of a substep is then cut at zero, and the substep must follow the noise: two of its standard deviations and three times its
+    corner frequency keep the mean squares within 0.5 %.
+    """
+    rate = speed * road.wavenumber
+    fastest = max(rate, car.natural_frequency)
+    if speed_noise is not None and speed_noise.smooth and road.kind != "harmonic":
+        corner = speed_noise.rates[0]
+        deviation = speed_noise.intensity * math.sqrt(corner / 2)
+        if deviation > rate / 4:
+            fastest = max(fastest, rate + 2 * deviation, 3 * corner)
+    return fastest
+
+
 def make_task(
     *,
     road: str | Mapping[str, Any] | Road = "multiplicative",
@@ -127,8 +144,8 @@ def make_task(
             "speed" and, where it exists, "bandwidth" are always observed, and appended if they are not named.
         natural_frequency: w1 of the car, rad/s.
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
-        substeps: substeps in a control interval; by default as many as keep the angle of the car and of the road in a substep
-            at most 0.1 rad, and D times the car's angle at most 1.
+        substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
+            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 1.
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.
         precision: "float32" or "float64"; by default what the road needs.
@@ -166,7 +183,8 @@ def make_task(
 
     w1 = car.natural_frequency
     interval = 0.2 / w1 if control_interval is None else positive("control_interval", control_interval)
-    angle = interval * max(w1, speeds[1] * the_road.wavenumber)
+    # the slowest speed is the one that noise stops most easily, the fastest turns the road the fastest
+    angle = interval * max(fastest_rate(the_road, noise, car, end) for end in speeds)
     needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(damping[1] * interval * w1))
     if the_road.precision == "float64" and precision == "float32":
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')

@@ -159,3 +159,11 @@ def test_marginal_density_scales_with_the_bound(scale: float, shape: float, leve
 def test_bad_input_is_named(call, message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    "function", [lambda road: analysis.density(road, 0.0, 0.0), lambda road: analysis.marginal_density(road, 0)]
+)
+def test_density_on_an_ellipse_is_not_known(function):
+    with pytest.raises(ParameterError, match=r"slope_bound must be None or level_bound, 1, for a known density, got 0\.5"):
+        function(MultiplicativeRoad(slope_bound=0.5))

@@ -22,6 +22,7 @@ from roadgym import (
     MEAN_SQUARES,
     SPEED_NOISES,
     GaussianRoad,
+    HarmonicRoad,
     HighPassSpeedNoise,
     LowPassSpeedNoise,
     MultiplicativeRoad,
@@ -37,6 +38,8 @@ from roadgym.plant import Plant
 from roadgym.roads import first_order, gaussian
 from roadgym.speed import make_speed_noise
 from roadgym.task import LARGEST_ANGLE, make_task
+
+HARMONIC = HarmonicRoad()
 
 
 def started_plant(number, **parameters):
@@ -477,3 +480,19 @@ def test_low_pass_noise_on_random_roads_agrees_with_an_independent_simulation(na
     # the noise matters: at constant speed the figures are others
     constant = exact_mean_squares(plant.task.road, None, damping=damping, speed=speed)[terms]
     assert np.any(np.abs(found - constant) > 10 * np.hypot(error, its_error))
+
+
+@pytest.mark.parametrize("name", list(SPEED_NOISES))
+@pytest.mark.parametrize("corner", [10.0, 300.0, 3000.0])
+def test_table_holds_for_any_corner(name, corner):
+    """The variance of the angle a substep against its closed form, also where the filter is much faster than the substep."""
+    interval = 0.1
+    noise = SPEED_NOISES[name](intensity=0.5, **({} if name == "white" else {"corner_frequency": corner}))
+    table = noise.table(interval, 1.0, HARMONIC)
+    psi, angle = speed_module.FACTOR, slice(speed_module.FACTOR + 1, speed_module.FACTOR + 3)
+    spread = table[speed_module.SPREAD]
+    # given Psi at the start the angle has the pull times Psi and the factor times normals
+    variance = (table[speed_module.PULL + 1] * spread) ** 2 + np.sum(table[angle] ** 2)
+    assert variance == pytest.approx(phase_variance(noise, interval), rel=1e-6)
+    if name != "white":
+        assert table[psi] ** 2 + (table[speed_module.PULL] * spread) ** 2 == pytest.approx(spread**2, rel=1e-6)
