@@ -13,5 +13,14 @@ for _road in ROADS:
         PLANTS.append({"road": _road, "speed_noise": _noise})
 
 
+# the variants of the bounded road that have schemes of their own
+ELLIPSE = {"kind": "multiplicative", "bandwidth": 0.3, "noise_intensity": 0.4, "level_bound": 1.0, "slope_bound": 0.7}
+SMALL_SHAPE = {"kind": "multiplicative", "bandwidth": 0.3, "noise_intensity": 1.5, "level_bound": 1.0}
+EVERY_PLANT = [*PLANTS, *({"road": road, "speed_noise": None} for road in (ELLIPSE, SMALL_SHAPE))]
+
+
 def plant_name(plant):
-    return plant["road"] + (f"+{plant['speed_noise']}" if plant["speed_noise"] else "")
+    road = plant["road"]
+    if not isinstance(road, str):
+        road = "ellipse" if "slope_bound" in road else "small shape"
+    return road + (f"+{plant['speed_noise']}" if plant["speed_noise"] else "")

@@ -1,15 +1,20 @@
 """The scheme of road and car: its bias, exactly, from a discrete Lyapunov equation, and by simulation."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
+from numba import cfunc, types
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 import analysis
 from roadgym import MEAN_SQUARES, GaussianRoad, MultiplicativeRoad
 from roadgym import compiled as rows
+from roadgym.kernel import follow_road, grip_road
+from roadgym.noise import fill_words
 from roadgym.plant import Plant
+from roadgym.roads import gaussian, multiplicative
 from roadgym.roads.gaussian import oscillator
 from roadgym.roads.multiplicative import rotations
 from roadgym.task import LARGEST_ANGLE, make_task
@@ -170,3 +175,12 @@ def test_car_is_continuous_when_the_damping_jumps():
     # both lanes meet the same road; in 1e-3 time units the velocity moves by about 2 D times that, no more
     assert np.all(np.abs(after[0] - before[0]) < 1e-2)
     assert np.all(np.abs(after[1] - before[1]) < 1e-2)
+
+
+@pytest.mark.parametrize("function", [follow_road, grip_road, gaussian.advance, multiplicative.advance, fill_words])
+def test_loops_over_lanes_are_vector_instructions(function):
+    """The optimised code multiplies whole vectors, so the inner loop runs over lanes."""
+    number = types.uint32 if function is fill_words else types.float32
+    signature = types.void(types.CPointer(number), types.CPointer(types.uint32), types.CPointer(number))
+    code = cfunc(signature, error_model="numpy", fastmath={"contract"})(function.function)._library.get_llvm_str()
+    assert re.search(r"mul .*<\d+ x (float|i64)>", code)

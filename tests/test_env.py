@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RescaleAction
-from plants import PLANTS, plant_name
+from plants import EVERY_PLANT, plant_name
 
 import roadgym
 from roadgym import ParameterError
 
 ID = roadgym.ENVIRONMENT_ID
-every_plant = pytest.mark.parametrize("plant", PLANTS, ids=plant_name)
+every_plant = pytest.mark.parametrize("plant", EVERY_PLANT, ids=plant_name)
 
 
 def drive(env, seed, steps=12):
