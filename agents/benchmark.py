@@ -224,7 +224,7 @@ def euler_maruyama() -> Result:
     from analysis.simulation import simulate
     from roadgym import WhiteSpeedNoise
 
-    samples = 4_000_000
+    samples = 20_000_000  # those of the paper at one speed
     generator, buffer = np.random.default_rng(0), np.empty(4096)
 
     def run() -> float:

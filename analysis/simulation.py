@@ -375,14 +375,14 @@ def draw_normals(counters: Any, words: Any, normals: Any, fill: int, chunk: int,
 def count(lanes: Any, counts: Any, cells: Any, low: float, scale: float) -> None:
     """Add FIRST and SECOND of each lane to their histograms, whose end cells take what lies beyond."""
     last = counts.shape[1] - 1
-    for row in range(2):
-        values = lanes[FIRST + row * LANES : FIRST + (row + 1) * LANES]
-        for i in range(LANES):
-            place = (values[i] - low) * scale + 1.0
-            place = place if place > 0.0 else 0.0
-            cells[i] = np.int32(place if place < last else last)
-        for i in range(LANES):
-            counts[row, cells[i]] += 1
+    for i in range(2 * LANES):
+        place = (lanes[FIRST + i] - low) * scale + 1.0
+        place = place if place > 0.0 else 0.0
+        cells[i] = np.int32(place if place < last else last)
+    first, second = counts[0], counts[1]
+    for i in range(LANES):  # in turn, so that one count need not wait for the other
+        first[np.uint32(cells[i])] += 1
+        second[np.uint32(cells[LANES + i])] += 1
 
 
 @compiled
@@ -407,7 +407,7 @@ def march(
     """
     words = np.empty(CHUNK * LANES, np.uint32)
     normals = np.empty((noises, CHUNK * LANES))
-    cells = np.empty(LANES, np.int32)
+    cells = np.empty(2 * LANES, np.int32)
     share = 1.0 / math.sqrt(merged)
     for chunk in range(begin, end):
         for noise in range(noises):
@@ -415,12 +415,13 @@ def march(
         for step in range(CHUNK // merged):
             for noise in range(noises):
                 target = lanes[NOISE + noise * LANES : NOISE + (noise + 1) * LANES]
-                target[:] = 0.0
-                for part in range(merged):
-                    row = (step * merged + part) * LANES
-                    source = normals[noise, row : row + LANES]
+                source = normals[noise, step * merged * LANES : (step + 1) * merged * LANES]
+                for i in range(LANES):
+                    target[i] = share * source[i]
+                for part in range(1, merged):
+                    other = source[part * LANES : (part + 1) * LANES]
                     for i in range(LANES):
-                        target[i] += share * source[i]
+                        target[i] += share * other[i]
             call(np.uint64(addresses[1]), lanes.ctypes.data, lanes.ctypes.data, table.ctypes.data)
             if sums.size:
                 values = lanes[OBSERVED : OBSERVED + OBSERVATIONS * LANES]
