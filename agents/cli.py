@@ -28,7 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"roadgym {chosen.command}: interrupted; the same command again goes on where it can", file=sys.stderr)
+        remedies = {"train": "; --resume goes on from the last checkpoint", "compare": "; the same command resumes its agent"}
+        remedy = remedies.get(chosen.command, "")
+        print(f"roadgym {chosen.command}: interrupted{remedy}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         return 0

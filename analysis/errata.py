@@ -318,6 +318,26 @@ def level_rate(name: str) -> Check:
     )
 
 
+def ellipse(name: str) -> Check:
+    """Off the circle the path leaves the ellipse and (12) does not hold; right is the variance of the plant's own scheme."""
+    bandwidth, level_bound, slope_bound, square = 0.1, 0.5, 1.0, 0.2
+    road = MultiplicativeRoad(
+        bandwidth=bandwidth, noise_intensity=math.sqrt(square), level_bound=level_bound, slope_bound=slope_bound
+    )
+    found = simulate(road, damping=0.5, speed=[1.0], samples=20_000_000, time_step=5e-3, lanes=1024, bias=True)[0]
+    simulated = found.first_square.without_bias
+    assert simulated is not None
+    error = math.hypot(simulated.standard_error, road.variance_standard_error)
+    return Check(
+        name=name,
+        equation="(12)",
+        quantity="E Z^2, z0 = 0.5, u0 = 1, delta = 0.1, sigma^2 = 0.2",
+        printed=1 / (level_bound**-2 + slope_bound**-2 + 4 * bandwidth / square),
+        right=road.variance,
+        simulated=Estimate(value=simulated.value, standard_error=error),
+    )
+
+
 def high_speed(name: str) -> Check:
     """At high speed the response depends on the bandwidth: (16) tends to delta (4 D + 1/D)/nu, not to (2 D/nu)^2."""
     road, damping, speed = GaussianRoad(), 0.105, 20.0
@@ -339,6 +359,7 @@ CHECKS: dict[str, Callable[[str], Check]] = {
         level_rate,
         marginal,
         square_increment,
+        ellipse,
         high_speed,
         white_noise,
         resonance_induction,
