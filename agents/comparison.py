@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.response import needs_simulation
 from roadgym.task import Task, make_task
 
 from .controllers import make_controller, optimum, theoretical_cost
@@ -32,7 +33,7 @@ class Row:
         controller: its name.
         point: the operating point.
         cost, standard_error: mean cost and its standard error; cost is minus the mean reward.
-        theory: what theory predicts, for constant dampings; None for others.
+        theory: what theory predicts, for constant dampings, where there is a closed form; else None.
         damping: the constant damping ratio, likewise.
         gain: share of the analytic optimum's cost that is saved, with its standard error from paired noise.
         switches: damping switches a second.
@@ -98,6 +99,7 @@ def constant_damping(task: Task, controller: str, point: OperatingPoint) -> floa
 def make_rows(task: Task, evaluations: Mapping[str, Evaluation]) -> tuple[Row, ...]:
     """Rows with theory and gains from what was driven."""
     rows = []
+    closed = not needs_simulation(task.road, task.speed_noise)  # a theory that is itself simulated proves nothing
     best = evaluations["analytic_optimum"].costs
     for name, evaluation in evaluations.items():
         for k, point in enumerate(evaluation.points):
@@ -116,7 +118,9 @@ def make_rows(task: Task, evaluations: Mapping[str, Evaluation]) -> tuple[Row, .
                     point=point,
                     cost=float(evaluation.mean[k]),
                     standard_error=float(evaluation.standard_error[k]),
-                    theory=None if damping is None else theoretical_cost(task, damping, point.speed, point.bandwidth),
+                    theory=theoretical_cost(task, damping, point.speed, point.bandwidth)
+                    if damping is not None and closed
+                    else None,
                     damping=damping,
                     gain=gain,
                     gain_standard_error=float(spread),

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from analysis.response import needs_simulation
 from roadgym.vector import QuarterCarVectorEnv
 
 from .controllers import optimum, theoretical_cost
@@ -72,7 +71,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
                 label=LABELS.get(name, name),
                 **style,
             )
-            if rows[0].theory is not None and not needs_simulation(task.road, task.speed_noise):
+            if rows[0].theory is not None:
                 low, high = task.damping_range
                 constant = {"d_min": low, "d_max": high}
                 curve = [
