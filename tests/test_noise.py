@@ -102,6 +102,26 @@ def test_normals_are_independent_across_environments_steps_and_words(normals):
     assert abs(np.mean(squares[..., 1:] * squares[..., :-1])) < 2 * limit
 
 
+def test_episodes_and_purposes_are_independent():
+    @njit
+    def draw(n):
+        out = np.empty((n, 3, 2), np.float32)
+        for i in range(n):
+            for k, (episode, purpose) in enumerate(((0, 1), (1, 1), (0, 2))):
+                w = philox(np.uint32(0), np.uint32(i), np.uint32(episode), np.uint32(purpose), np.uint32(5), np.uint32(6))
+                out[i, k, 0], out[i, k, 1] = normal_pair(w[0], w[1])
+        return out
+
+    n = 500_000
+    sample = draw(n).astype(float)
+    first, episode, purpose = sample[:, 0], sample[:, 1], sample[:, 2]
+    for other in (episode, purpose):
+        for power in (1, 2):
+            products = (first**power - (power == 2)) * (other**power - (power == 2))
+            assert abs(products.mean()) < 4 * products.std() / np.sqrt(2 * n)
+            assert not np.array_equal(first, other)
+
+
 def test_normal_pair_is_accurate():
     @njit
     def pairs(first, second):
