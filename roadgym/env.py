@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import gymnasium
 import numpy as np
@@ -15,9 +15,7 @@ from .car import MEAN_SQUARES
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError
 from .plant import Plant
-from .roads import Road
-from .speed import SpeedNoise
-from .task import make_task
+from .task import TaskParameters, make_task
 
 RESET_OPTIONS = ("speed", "bandwidth")
 
@@ -57,36 +55,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     def __init__(
         self,
         *,
-        road: str | Mapping[str, Any] | Road = "multiplicative",
-        speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
-        speed: float | Sequence[float] = 1.0,
-        bandwidth: float | Sequence[float] | None = None,
-        damping_range: Sequence[float] = (0.05, 1.0),
-        reward: Mapping[str, float] | None = None,
-        observation: Sequence[str] | None = None,
-        natural_frequency: float = 1.0,
-        control_interval: float | None = None,
-        substeps: int | None = None,
-        warm_up: float = 0.0,
-        warm_up_damping: float | None = None,
-        precision: str | None = None,
         render_mode: None = None,
+        **parameters: Unpack[TaskParameters],
     ) -> None:
-        self.task = make_task(
-            road=road,
-            speed_noise=speed_noise,
-            speed=speed,
-            bandwidth=bandwidth,
-            damping_range=damping_range,
-            reward=reward,
-            observation=observation,
-            natural_frequency=natural_frequency,
-            control_interval=control_interval,
-            substeps=substeps,
-            warm_up=warm_up,
-            warm_up_damping=warm_up_damping,
-            precision=precision,
-        )
+        self.task = make_task(**parameters)
         self.render_mode = render_mode
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space

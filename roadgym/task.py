@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -112,6 +112,24 @@ def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, sp
         if deviation > rate / 4:
             fastest = max(fastest, rate + 2 * deviation, 3 * corner)
     return fastest
+
+
+class TaskParameters(TypedDict, total=False):
+    """What `make_task` takes, for the environments that pass it on."""
+
+    road: str | Mapping[str, Any] | Road
+    speed_noise: str | Mapping[str, Any] | SpeedNoise | None
+    speed: float | Sequence[float]
+    bandwidth: float | Sequence[float] | None
+    damping_range: Sequence[float]
+    reward: Mapping[str, float] | None
+    observation: Sequence[str] | None
+    natural_frequency: float
+    control_interval: float | None
+    substeps: int | None
+    warm_up: float
+    warm_up_damping: float | None
+    precision: str | None
 
 
 def make_task(

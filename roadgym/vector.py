@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,7 @@ from .env import RESET_OPTIONS, check_options
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, whole
 from .plant import Plant
-from .roads import Road
-from .speed import SpeedNoise
-from .task import make_task
+from .task import TaskParameters, make_task
 
 Floats = npt.NDArray[np.float32]
 
@@ -55,39 +53,13 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         max_episode_steps: int | None = 500,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
-        road: str | Mapping[str, Any] | Road = "multiplicative",
-        speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
-        speed: float | Sequence[float] = 1.0,
-        bandwidth: float | Sequence[float] | None = None,
-        damping_range: Sequence[float] = (0.05, 1.0),
-        reward: Mapping[str, float] | None = None,
-        observation: Sequence[str] | None = None,
-        natural_frequency: float = 1.0,
-        control_interval: float | None = None,
-        substeps: int | None = None,
-        warm_up: float = 0.0,
-        warm_up_damping: float | None = None,
-        precision: str | None = None,
         render_mode: None = None,
+        **parameters: Unpack[TaskParameters],
     ) -> None:
         self.num_envs = whole("num_envs", num_envs)
         mode = make_autoreset_mode(autoreset_mode)
         limit = 0 if max_episode_steps in (None, 0, -1) else whole("max_episode_steps", max_episode_steps)
-        self.task = make_task(
-            road=road,
-            speed_noise=speed_noise,
-            speed=speed,
-            bandwidth=bandwidth,
-            damping_range=damping_range,
-            reward=reward,
-            observation=observation,
-            natural_frequency=natural_frequency,
-            control_interval=control_interval,
-            substeps=substeps,
-            warm_up=warm_up,
-            warm_up_damping=warm_up_damping,
-            precision=precision,
-        )
+        self.task = make_task(**parameters)
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode = render_mode
         self.single_action_space = self.task.action_space

@@ -1,4 +1,4 @@
-"""What every road is: frozen parameters, the stationary law, and three compiled lane functions."""
+"""What every road is: frozen parameters, the stationary law, and compiled functions over lanes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Road(abc.ABC):
     """A road Z(s) over the distance s, stationary, with zero mean.
 
     A new road subclasses this, as a frozen keyword-only dataclass whose field ``kind`` is its name, checks its parameters in
-    ``__post_init__`` and supplies the abstract properties and three lane functions (see `roadgym.compiled`). They see the
+    ``__post_init__`` and supplies the abstract properties and up to three lane functions (see `roadgym.compiled`). They see the
     road in units of its standard deviation and in terms of the angle wavenumber * distance:
 
     - ``prepare``, of one lane: fills the COEFFICIENT rows from the rows TURN (angle a substep) and BANDWIDTH; None if there is
