@@ -1,0 +1,139 @@
+"""The interactive page of the closed forms: one HTML file that computes everything itself, with neither network nor libraries.
+
+The page, `explorer.html` beside this module, evaluates the same formulas as `analysis.response`, `analysis.optimum`,
+`analysis.rotating_frame`, `analysis.roads` and `analysis.stability`, in units of w1 and of the road's standard deviation.
+Python tells it the ranges of its parameters, the plants that are defined and the view to begin with, but no result.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from roadgym import MEAN_SQUARES, __version__
+from roadgym.parameters import ParameterError, number
+from roadgym.reward import check_weights, divergent_terms
+from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, make_road
+from roadgym.speed import SPEED_NOISES, make_speed_noise
+
+from .checks import one_of
+from .optimum import COARSE, DISPLACEMENT, FINE, ROUNDS
+from .response import needs_simulation
+
+TEMPLATE = Path(__file__).with_name("explorer.html")
+PLACE = "/*DATA*/"  # in the template
+ROADS = (HarmonicRoad, FirstOrderRoad, GaussianRoad, MultiplicativeRoad)
+NO_NOISE = "none"
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """What a parameter of the page may be.
+
+    Args:
+        low: its least value.
+        high: its greatest value.
+        start: its value in the page as written by default.
+        steps: of the slider, from end to end.
+        logarithmic: are they even in the logarithm?
+    """
+
+    low: float
+    high: float
+    start: float
+    steps: int = 240
+    logarithmic: bool = True
+
+
+RANGES: Mapping[str, Range] = MappingProxyType(
+    {
+        "damping": Range(0.01, 2.0, 0.2),
+        "frequency_ratio": Range(0.0, 4.0, 1.0, steps=400, logarithmic=False),  # nu = v Omega/w1
+        "bandwidth": Range(0.01, 1.0, 0.1),
+        "shape": Range(0.1, 10.0, 2.0),  # alpha of (11)
+        "intensity": Range(0.01, 1.5, 0.3, steps=149, logarithmic=False),  # sigma/sqrt(w1)
+        "corner_frequency": Range(0.01, 10.0, 1.0),  # w_g/w1
+        "damping_min": Range(0.01, 2.0, 0.05),
+        "damping_max": Range(0.01, 2.0, 1.0),
+    }
+)
+
+
+def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
+    """Write the page, whole or not at all.
+
+    Args:
+        path: the file.
+        view: what the page shows at first, over the defaults: ``road`` and ``speed_noise`` by name, ``weights`` by mean square,
+            and any of `RANGES`.
+
+    Returns:
+        The file.
+
+    Raises:
+        ParameterError: a value out of range, or a file that cannot be written.
+    """
+    data = {
+        "version": __version__,
+        "mean_squares": MEAN_SQUARES,
+        "plants": plants(),
+        "ranges": {name: dataclasses.asdict(value) for name, value in RANGES.items()},
+        "search": {"coarse": COARSE, "fine": FINE, "rounds": ROUNDS},
+        "view": make_view(view or {}),
+    }
+    text = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, json.dumps(data))
+    target = Path(path)
+    part = target.with_name(f"part-{target.name}")
+    try:
+        try:
+            part.write_text(text, encoding="utf-8")
+            part.replace(target)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise ParameterError(f"cannot write {str(target)!r}: {error.strerror or error}") from None
+    return target
+
+
+def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
+    """A whole view from the given part of it, checked; see `write`.
+
+    Raises:
+        ParameterError: an unknown name, a plant that is not defined, or a value out of range.
+    """
+    known = ("road", "speed_noise", "weights", *RANGES)
+    for name in view:
+        one_of("name in the view", name, known)
+    road = make_road(one_of("road", view.get("road", "multiplicative"), [road.kind for road in ROADS]))
+    noise = make_speed_noise(one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE, *SPEED_NOISES)), road)
+    result: dict[str, Any] = {"road": road.kind, "speed_noise": noise.kind if noise else NO_NOISE}
+    for name, allowed in RANGES.items():
+        value = number(name, view.get(name, allowed.start))
+        if not allowed.low <= value <= allowed.high:
+            raise ParameterError(f"{name} must be from {allowed.low:g} to {allowed.high:g}, got {value:g}")
+        result[name] = value
+    if result["damping_min"] > result["damping_max"]:
+        raise ParameterError(
+            f"damping_min must not be above damping_max, {result['damping_max']:g}, got {result['damping_min']:g}"
+        )
+    result["weights"] = check_weights(view.get("weights", DISPLACEMENT), road, noise)
+    return result
+
+
+def plants() -> dict[str, dict[str, dict[str, Any]]]:
+    """By road and speed noise, where it is defined there: is there only simulation, and which mean squares are infinite?"""
+    result: dict[str, dict[str, dict[str, Any]]] = {}
+    for kind in ROADS:
+        road = kind()
+        result[road.kind] = {}
+        for name in (NO_NOISE, *SPEED_NOISES):
+            try:
+                noise = make_speed_noise(name, road)
+            except ParameterError:
+                continue
+            result[road.kind][name] = {"simulated": needs_simulation(road, noise), "divergent": divergent_terms(road, noise)}
+    return result
