@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
+from . import ENVIRONMENT_ID
 from .car import MEAN_SQUARES
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError
 from .plant import Plant
 from .task import TaskParameters, make_task
+
+if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
+    from .rendering import History, Picture, Window
 
 RESET_OPTIONS = ("speed", "bandwidth")
 
@@ -45,21 +49,29 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
       stationary law and the car at rest, or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
+    - Rendering: with "rgb_array" `render` returns the picture, uint8, shape (640, 800, 3); with "human" a window shows it at
+      every reset and step, 60 of them a second. `roadgym.rendering` says what is in it; its title is ``render_title``. This
+      needs pygame: ``pip install 'roadgym[render]'``.
 
     The parameters are those of `roadgym.task.make_task`. The noise depends on the seed, the number of resets since it was given
     and the step alone, so two controllers with the same seed meet the same road.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 60}  # type: ignore[misc]
 
     def __init__(
         self,
         *,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **parameters: Unpack[TaskParameters],
     ) -> None:
+        if render_mode is not None:
+            if render_mode not in self.metadata["render_modes"]:
+                raise ParameterError(f"unknown render_mode {render_mode!r}; known: {', '.join(self.metadata['render_modes'])}")
+            from . import rendering  # noqa: F401  (a missing pygame is told here, not in the middle of a drive)
         self.task = make_task(**parameters)
         self.render_mode = render_mode
+        self.render_title = "Quarter car"
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.signal_names = self.task.signals
@@ -68,6 +80,12 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self._mask = np.ones(1, np.bool_)
         self._variance = self.task.road.variance
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
+        self.history: History | None = None
+        self._picture: Picture | None = None
+        self._window: Window | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_picture": None, "_window": None}  # a copy draws for itself
 
     def _operating_point(self, results: Sequence[float]) -> dict[str, Any]:
         point = {"speed": results[RESULT_SPEED] * self._metres_per_second}
@@ -86,6 +104,12 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         if seed is not None:
             self._plant.seed(np.array([seed % 2**64], np.uint64), self._mask)
         observations, results = self._plant.reset(forced, self._mask)
+        if self.render_mode is not None:
+            from .rendering import History
+
+            self.history = History(self._plant)
+            if self.render_mode == "human":
+                self.render()
         return observations[0], self._operating_point(results[:, 0].tolist())
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -95,9 +119,39 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         actions = np.asarray(action, np.float32)
         if actions.shape != (1,) or not math.isfinite(actions[0]):
             raise ParameterError(f"action must be one finite number, shape (1,), got {action!r}")
-        observations, results, _, _ = self._plant.step(actions)
+        observations, results, _, _ = self._plant.step(actions) if self.history is None else self.history.step(actions)
         values = results[:, 0].tolist()
         info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}
         info["damping"] = values[RESULT_DAMPING]
         info.update(self._operating_point(values))
+        if self.render_mode == "human":
+            self.render()
         return observations[0], values[REWARD], False, False, info
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """The picture now in the mode "rgb_array"; in the mode "human" it goes to the window."""
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "You are calling render method without specifying any render mode. You can specify the render_mode at "
+                f'initialization, e.g. gymnasium.make("{ENVIRONMENT_ID}", render_mode="rgb_array")'
+            )
+            return None
+        if self.history is None:
+            raise ResetNeeded("call reset before render")
+        from .rendering import Picture, Window
+
+        if self._picture is None:
+            self._picture = Picture(self.task)
+        pixels = self._picture.draw(self.history, self.render_title)
+        if self.render_mode == "rgb_array":
+            return pixels.copy()
+        if self._window is None:
+            self._window = Window(pixels.shape[1], pixels.shape[0])
+        self._window.show(pixels)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None

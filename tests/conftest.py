@@ -1,4 +1,4 @@
-"""Shared by all tests: a compilation cache of their own, and small builders."""
+"""Shared by all tests: a compilation cache of their own, and windows that do not show."""
 
 import hashlib
 import os
@@ -9,3 +9,5 @@ from pathlib import Path
 _SOURCES = sorted((Path(__file__).parents[1] / "roadgym").rglob("*.py"))
 _DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdigest()[:16]
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"roadgym-test-cache-{_DIGEST}"))
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # no windows on the screen of who runs the tests
