@@ -22,6 +22,8 @@ from roadgym.parameters import ParameterError
 from roadgym.roads import Road
 from roadgym.task import Task
 
+from .advantage import advantage_forms, mean_drift
+
 Observation = npt.NDArray[np.float32]
 Damping = npt.NDArray[np.float32]
 
@@ -231,6 +233,9 @@ class LeastAcceleration(SemiActive):
         return np.asarray(-travel * relative / (2 * np.maximum(relative**2, np.float32(1e-12))))
 
 
+STATE = ("displacement", "velocity", "level", "slope")  # (Y, X, Z, U)
+
+
 class Scheduled(SemiActive):
     """A rule with quadratic forms of the state (Y, X, Z, U) that are worked out once for each operating point."""
 
@@ -250,7 +255,7 @@ class Scheduled(SemiActive):
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """The rule, at each distinct operating point."""
-        state = np.stack([signals[name] for name in ("displacement", "velocity", "level", "slope")], axis=1).astype(float)
+        state = np.stack([signals[name] for name in STATE], axis=1).astype(float)
         ratio = self.task.frequency_ratio(observed_speed(signals, self.task))
         points = np.stack([ratio, observed_bandwidth(signals)], axis=1)
         answer = np.empty(len(state))
@@ -262,19 +267,6 @@ class Scheduled(SemiActive):
                 self._forms[key] = self.make_forms(*key)
             answer[begin:end] = self.rule(self._forms[key], state[begin:end], key[0])
         return answer
-
-
-def mean_drift(damping: float, ratio: float, bandwidth: float) -> npt.NDArray[np.float64]:
-    """Drift matrix of (Y, X, Z, U) at constant damping, in units of time 1/w1; (7), (13) of Wedig (2020)."""
-    return np.array(
-        [
-            [0, 1, 0, 0],
-            [-1, -2 * damping, 1, 2 * damping * ratio],
-            [0, 0, 0, ratio],
-            [0, 0, -ratio, -2 * bandwidth * ratio],
-        ],
-        float,
-    )
 
 
 class ClippedLinearQuadratic(Scheduled):
@@ -322,55 +314,21 @@ class ClippedLinearQuadratic(Scheduled):
 class OneStepLookahead(Scheduled):
     """The damping that is best for one control interval, if the best constant damping took over after it.
 
-    The value of going on with a constant damping is a quadratic form of the state, from a Lyapunov equation; what the next
-    interval costs on average is one too. So each of a few damping ratios has a quadratic form, and the least one wins: one
-    exact step of policy improvement on the analytic optimum (on Gaussian roads; on bounded ones the noise is taken as
-    Gaussian).
+    Of a few damping ratios the one of least advantage (`agents.advantage`), a quadratic form of the state, wins: one exact step
+    of policy improvement on the analytic optimum.
 
     Source: the rollout of D. P. Bertsekas, Dynamic Programming and Optimal Control, vol. 1, 2017, section 6.4.
     """
 
     choices = 9
-    steps = 8
 
     def make_forms(self, ratio: float, bandwidth: float) -> Any:
-        """(dampings, forms of shape (choices, 4, 4), constants): cost of the next interval and of all after it."""
-        from scipy.linalg import expm, solve_continuous_lyapunov
-
-        task = self.task
-        interval = task.control_interval * task.car.natural_frequency
-        speed = ratio * task.car.natural_frequency / task.road.wavenumber
-        constant = float(optimum(task, speed, bandwidth).damping)
-        value = solve_continuous_lyapunov(mean_drift(constant, ratio, bandwidth).T, -self._cost(constant, ratio))
-        dampings = np.linspace(*task.damping_range, self.choices)
-        forms, constants = np.zeros((self.choices, 4, 4)), np.zeros(self.choices)
-        diffusion = np.diag([0, 0, 0, 4 * bandwidth * ratio])
-        step = interval / self.steps
-        for k, damping in enumerate(dampings.tolist()):
-            drift, cost = mean_drift(damping, ratio, bandwidth), self._cost(damping, ratio)
-            move, half = expm(drift * step), expm(drift * step / 2)
-            noise = half @ diffusion @ half.T * step  # midpoint rule, of second order in an eighth of the interval
-            mean, spread = np.eye(4), np.zeros((4, 4))
-            for _ in range(self.steps):
-                mean, spread = move @ mean, move @ spread @ move.T + noise
-                forms[k] += step * mean.T @ cost @ mean
-                constants[k] += step * np.trace(cost @ spread)
-            forms[k] += mean.T @ value @ mean
-            constants[k] += np.trace(value @ spread)
-        return dampings, forms, constants
-
-    def _cost(self, damping: float, ratio: float) -> npt.NDArray[np.float64]:
-        """The weighted squares as a quadratic form of the state at a damping."""
-        rows: dict[str, list[float]] = {
-            "displacement": [1, 0, 0, 0],
-            "velocity": [0, 1, 0, 0],
-            "acceleration": [1, 2 * damping, -1, -2 * damping * ratio],
-            "travel": [1, 0, -1, 0],
-            "relative_velocity": [0, 1, 0, -ratio],
-        }
-        return sum(
-            (weight * np.outer(rows[name], rows[name]) for name, weight in self.task.weights_by_name.items()), np.zeros((4, 4))
-        )
+        """(dampings, forms of shape (choices, 4, 4), constants): advantages of a few damping ratios."""
+        speed = ratio * self.task.car.natural_frequency / self.task.road.wavenumber
+        constant = float(optimum(self.task, speed, bandwidth).damping)
+        dampings = np.linspace(*self.task.damping_range, self.choices)
+        forms, constants = advantage_forms(self.task, dampings, [constant], [ratio], [bandwidth])
+        return dampings, forms[0], constants[0]
 
     def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
         """The damping of the least form."""
@@ -383,7 +341,16 @@ class OptimalFeedback(Scheduled):
     """The best state feedback at each operating point, by dynamic programming; see `analysis.optimal_feedback`.
 
     Each operating point takes some seconds the first time, and is kept in the user's cache folder.
+
+    Raises:
+        ParameterError: a road or a speed noise for which there is no such feedback.
     """
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(task)
+        analysis.feedback.check_road(task.road)
+        if task.speed_noise is not None:
+            raise ParameterError(f"optimal_feedback needs a constant speed, got {task.speed_noise.kind} speed noise")
 
     def make_forms(self, ratio: float, bandwidth: float) -> analysis.OptimalFeedback:
         """The feedback at this operating point."""

@@ -1,4 +1,4 @@
-"""What a learned policy sees: the observation, and optionally products of its signals.
+"""What a learned policy sees: the observation, and optionally products of its signals and theory's one-step lookahead.
 
 The best damping is an even function of the state: nothing changes when road and car are mirrored, (Y, X, Z, U) ->
 -(Y, X, Z, U). Products of two signals are even; with them alone a policy respects the symmetry exactly, and the switching
@@ -7,46 +7,99 @@ surfaces of classical controllers, such as Y' (Y' - Z') = 0, are planes.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from roadgym.parameters import ParameterError
-from roadgym.task import OPERATING_POINT
+from roadgym.task import OPERATING_POINT, Task
 
-FEATURES = ("signals", "products")
+from .advantage import advantage_forms, has_advantage
+from .controllers import STATE
+from .operating_grid import NODES, OperatingGrid
+
+FEATURES = ("signals", "products", "lookahead")
 
 
 class Features:
     """Maps observations, shape (n, signals), to what a policy sees, shape (n, size), float32.
 
     Args:
-        names: names of the observed signals.
-        kinds: a selection of `FEATURES`: "signals" as observed, "products" of every pair of them over
-            sqrt(1 + sum of squares), so that they grow like the signals. The operating point is always there, as
-            4 (share - 1/2), which is of order 1.
+        task: the task that is observed.
+        kinds: a selection of `FEATURES`: "signals" as observed; "products" of every pair of them over
+            sqrt(1 + sum of squares), so that they grow like the signals; and "lookahead", the advantages (`agents.advantage`)
+            of the firmest and of the middle damping over the softest, scaled alike, which are left out where theory does not
+            know them or the task does not observe the whole state. The operating point is always there, as 4 (share - 1/2),
+            which is of order 1.
 
     Raises:
         ParameterError: an unknown kind, or none.
     """
 
-    def __init__(self, names: Sequence[str], kinds: Sequence[str] = ("signals",)) -> None:
+    def __init__(self, task: Task, kinds: Sequence[str] = ("signals",)) -> None:
         if isinstance(kinds, str) or not kinds or any(kind not in FEATURES for kind in kinds):
             raise ParameterError(f"features must be a selection of {', '.join(FEATURES)}, got {kinds!r}")
+        names = task.signals
         self._state = [i for i, name in enumerate(names) if name not in OPERATING_POINT]
         self._point = [i for i, name in enumerate(names) if name in OPERATING_POINT]
         self._first, self._second = np.triu_indices(len(self._state))
         self._signals, self._products = "signals" in kinds, "products" in kinds
-        self.size = len(self._point) + self._signals * len(self._state) + self._products * len(self._first)
+        self._lookahead = None
+        if "lookahead" in kinds and has_advantage(task) and all(name in names for name in (*STATE, *OPERATING_POINT)):
+            self._lookahead = _Lookahead(task)
+        self.size = (
+            len(self._point)
+            + self._signals * len(self._state)
+            + self._products * len(self._first)
+            + 2 * (self._lookahead is not None)
+        )
 
     def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """The features of each row."""
         state = observations[:, self._state]
+        scale = np.sqrt(1 + np.einsum("ij,ij->i", state, state))[:, None]
         parts = [(observations[:, self._point] - np.float32(0.5)) * np.float32(4)]
         if self._signals:
             parts.append(state)
         if self._products:
-            scale = np.sqrt(1 + np.einsum("ij,ij->i", state, state))
-            parts.append(state[:, self._first] * state[:, self._second] / scale[:, None])
+            parts.append(state[:, self._first] * state[:, self._second] / scale)
+        if self._lookahead is not None:
+            parts.append(self._lookahead(observations) / scale)
         return np.concatenate(parts, axis=1, dtype=np.float32)
+
+
+class _Lookahead:
+    """Advantages of the firmest and of the middle damping over the softest, interpolated between operating points."""
+
+    def __init__(self, task: Task) -> None:
+        self._columns = [task.signals.index(name) for name in STATE]
+        self._point = [task.signals.index(name) for name in OPERATING_POINT]
+        self._grid = grid = OperatingGrid(task)
+        low, high = task.damping_range
+        points = (grid.damping.ravel(), grid.ratio.ravel(), grid.bandwidth.ravel())
+        forms, constants = advantage_forms(task, [low, (low + high) / 2, high], *points)
+        self._first, self._second = np.triu_indices(4)
+        table = np.empty((NODES**2, 2, len(self._first) + 1))
+        twice = np.where(self._first == self._second, 1, 2)
+        table[..., :-1] = (forms[:, :0:-1] - forms[:, :1])[..., self._first, self._second] * twice
+        table[..., -1] = constants[:, :0:-1] - constants[:, :1]
+        # of order one where the signals are
+        table /= np.sqrt(np.square(table[:, :1, :-1]).sum(axis=-1, keepdims=True))
+        self._table = table.reshape(NODES, NODES, 2, -1).astype(np.float32)
+
+    def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Both, shape (n, 2)."""
+        place = self._grid.place(observations[:, self._point])
+        node = np.minimum(place.astype(np.intp), NODES - 2)
+        share = (place - node).astype(np.float32)
+        state = observations[:, self._columns]
+        monomials = np.ones((len(state), len(self._first) + 1), np.float32)
+        monomials[:, :-1] = state[:, self._first] * state[:, self._second]
+        result = np.zeros((len(state), 2), np.float32)
+        for i, j in itertools.product((0, 1), repeat=2):  # the corners around each point
+            weight = np.abs(1 - i - share[:, 0]) * np.abs(1 - j - share[:, 1])
+            forms = self._table[node[:, 0] + i, node[:, 1] + j]
+            result += weight[:, None] * np.einsum("nkm,nm->nk", forms, monomials)
+        return result

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from .car import MEAN_SQUARES
+from .compiled import BANDWIDTH, DISPLACEMENT, LEVEL, SLOPE, SPEED, VELOCITY
 from .env import RESET_OPTIONS, check_options
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, whole
@@ -19,6 +20,7 @@ from .plant import Plant
 from .task import TaskParameters, make_task
 
 Floats = npt.NDArray[np.float32]
+STATE = (DISPLACEMENT, VELOCITY, LEVEL, SLOPE, SPEED, BANDWIDTH)
 
 
 def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -32,7 +34,8 @@ def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     """``num_envs`` quarter cars, stepped together; environment i with seed s equals `QuarterCarEnv` with seed s + i bit by bit.
 
-    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments.
+    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments. A batch
+    draws no pictures; ``gymnasium.make_vec(..., vectorization_mode="sync", render_mode="rgb_array")`` does, one for each.
 
     Args:
         num_envs: number of environments.
@@ -122,6 +125,14 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self._seeds(seed, mask)
         observations, results = self._plant.reset(forced, mask)
         return observations, self._operating_point(results, mask.copy())
+
+    def state(self) -> npt.NDArray[np.float64]:
+        """The state (Y, X, Z, U, nu, delta) of car and road, shape (num_envs, 6), whatever is observed.
+
+        The first four are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0 on
+        a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
+        """
+        return np.stack([self._plant.row(offset) for offset in STATE], axis=1).astype(float)
 
     def step(
         self, actions: Floats

@@ -1,0 +1,36 @@
+"""The best constant dampings on a grid of operating points."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.task import Task
+
+from .controllers import optimum
+
+NODES = 17  # over the speed, and over the bandwidth
+
+
+class OperatingGrid:
+    """A grid over the task's speeds and bandwidths, of equal steps in what is observed: nu/(1 + nu) and 2 delta/(1 + 2 delta).
+
+    Attributes:
+        ratio, bandwidth: nu and delta of the nodes, shape (NODES, NODES); the first axis is that of the speed.
+        damping: the best constant damping ratio at the nodes by theory, likewise.
+    """
+
+    def __init__(self, task: Task) -> None:
+        ends = np.array([[task.frequency_ratio(speed) for speed in task.speed], [2 * delta for delta in task.bandwidth]])
+        ends = ends / (1 + ends)
+        self._low, self._step = ends[:, 0], np.maximum(ends[:, 1] - ends[:, 0], 1e-9) / (NODES - 1)
+        shares = self._low + self._step * np.stack(np.meshgrid(range(NODES), range(NODES), indexing="ij"), axis=-1)
+        self.ratio, twice_bandwidth = np.moveaxis(shares / (1 - shares), -1, 0)
+        self.bandwidth = twice_bandwidth / 2
+        speed = 1 / task.frequency_ratio(1.0)
+        pairs = zip(self.ratio.ravel().tolist(), self.bandwidth.ravel().tolist(), strict=True)
+        self.damping = np.array([float(optimum(task, nu * speed, delta).damping) for nu, delta in pairs]).reshape(NODES, NODES)
+
+    def place(self, shares: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+        """Where observed operating points lie, in steps from the first node, shape (n, 2) as ``shares``; within the grid."""
+        return np.asarray(np.clip((shares - self._low) / self._step, 0, NODES - 1))

@@ -1,0 +1,107 @@
+"""The advantage by theory, and learning from it."""
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_lyapunov
+
+from agents.advantage import advantage_forms, has_advantage, mean_drift, value_form
+from agents.advantage_reward import AdvantageReward
+from agents.controllers import make_controller, optimum, theoretical_cost
+from agents.vec_env import QuarterCarVecEnv
+from roadgym.compiled import DISPLACEMENT, LEVEL, SLOPE, VELOCITY
+from roadgym.plant import Plant
+from roadgym.task import make_task
+
+ENVIRONMENT = {"road": "multiplicative", "speed": (0.7, 3.0), "bandwidth": (0.1, 0.3)}
+WEIGHTS = {"displacement": 1.0, "velocity": 0.2, "acceleration": 0.3, "travel": 0.5, "relative_velocity": 0.1}
+
+
+def stationary(damping, ratio, bandwidth):
+    diffusion = np.diag([0, 0, 0, 4 * bandwidth * ratio])
+    return solve_continuous_lyapunov(mean_drift(damping, ratio, bandwidth), -diffusion)
+
+
+@pytest.mark.parametrize("reference", [0.3, 0.9])
+@pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
+def test_mean_advantage_is_the_difference_of_costs(road, reference):
+    """The performance difference lemma, with closed forms on both sides."""
+    task = make_task(**{**ENVIRONMENT, "road": road}, reward=WEIGHTS)
+    dampings = np.array([0.05, 0.3, 0.9])
+    forms, constants = advantage_forms(task, dampings, [reference], [1.3], [0.2])
+    _, mean_cost = value_form(task, reference, 1.3, 0.2)
+    assert mean_cost == pytest.approx(theoretical_cost(task, reference, 1.3, 0.2))
+    for damping, form, constant in zip(dampings.tolist(), forms[0], constants[0], strict=True):
+        found = np.trace(form @ stationary(damping, 1.3, 0.2)) + constant
+        expected = theoretical_cost(task, damping, 1.3, 0.2) - theoretical_cost(task, reference, 1.3, 0.2)
+        # eight steps of fourth order in an interval, whose rates times the step are up to 0.1
+        assert found / task.control_interval == pytest.approx(expected, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
+def test_advantage_is_what_simulation_finds(road):
+    """From one state, held for one interval: the cost, and the value of where it ends, on average."""
+    task = make_task(road=road, speed=1.3, bandwidth=0.2, reward=WEIGHTS)
+    state = np.array([0.8, -0.5, 0.6, -0.9])
+    lanes = 200_000
+    plant = Plant(task, lanes)
+    everyone = np.ones(lanes, np.bool_)
+    value, mean_cost = value_form(task, 0.3, 1.3, 0.2)
+    found = []
+    for damping in (0.05, 0.9):
+        plant.seed(np.arange(lanes, dtype=np.uint64), everyone)  # the same noise for both
+        plant.reset(plant.forced({}), everyone)
+        for offset, number in zip((DISPLACEMENT, VELOCITY, LEVEL, SLOPE), state.tolist(), strict=True):
+            plant.set_row(offset, number)
+        _, results, _, _ = plant.step(np.full(lanes, damping, np.float32))
+        after = np.stack([plant.row(offset) for offset in (DISPLACEMENT, VELOCITY, LEVEL, SLOPE)], axis=1).astype(float)
+        total = -results[0].astype(float) * task.control_interval + np.einsum("ni,ij,nj->n", after, value, after)
+        found.append(total - state @ value @ state - mean_cost * task.control_interval)
+    forms, constants = advantage_forms(task, [0.05, 0.9], [0.3], [1.3], [0.2])
+    expected = np.einsum("i,kij,j->k", state, forms[0], state) + constants[0]
+    difference = found[1] - found[0]
+    error = difference.std() / np.sqrt(lanes)
+    assert error < 0.01 * abs(expected[1] - expected[0])
+    assert abs(difference.mean() - (expected[1] - expected[0])) < 4 * error + 2e-3 * abs(expected[1] - expected[0])
+    assert abs(found[0].mean() - expected[0]) < 4 * found[0].std() / np.sqrt(lanes) + 2e-3 * abs(expected[0])
+
+
+@pytest.mark.statistical
+def test_rewards_average_to_the_cost_saved():
+    """On the bounded road, for a policy that is not constant."""
+    environment = {**ENVIRONMENT, "speed": 1.3, "bandwidth": 0.2}
+    envs, twins = (QuarterCarVecEnv(2048, max_episode_steps=10**6, environment=environment) for _ in range(2))
+    task, rival = envs.task, make_controller("skyhook", envs.task)
+    rewards = AdvantageReward(envs)
+    for batch in (rewards, twins):  # the same roads for both
+        batch.seed(3)
+        observations = batch.reset()
+    low, high = task.damping_range
+    saved, cost = np.zeros(2048), np.zeros(2048)
+    for step in range(600):
+        damping, _ = rival.predict(observations)
+        action = 2 * (damping - low) / (high - low) - 1
+        observations, found, _, _ = rewards.step(action)
+        _, paid, _, _ = twins.step(action)
+        if step >= 200:
+            saved += found / 400
+            cost -= paid / 400
+    best = optimum(task, 1.3, 0.2).cost
+    expected = (best - cost) / np.sqrt(best)
+    error = (saved - expected).std() / np.sqrt(2048)
+    assert error < 0.02 * expected.mean()
+    assert abs(saved.mean() - expected.mean()) < 4 * error + 2e-3 * expected.mean()
+
+
+@pytest.mark.parametrize(
+    ("environment", "known"),
+    [
+        ({"road": "gaussian"}, True),
+        ({"road": "multiplicative"}, True),
+        ({"road": "harmonic"}, False),
+        ({"road": "first_order"}, False),
+        ({"road": "gaussian", "speed_noise": "low_pass"}, False),
+    ],
+)
+def test_plants_with_an_advantage(environment, known):
+    assert has_advantage(make_task(**environment)) == known
