@@ -1,28 +1,46 @@
-"""The main job: one agent against the analytic optimum and classical controllers, over the same noise."""
+"""The main job: agents against the analytic optimum, classical controllers and the optimal feedback, over the same noise."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import datetime
+import io
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.stats import t as student
 
 from analysis.response import needs_simulation
+from roadgym.car import MEAN_SQUARES
+from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 
-from .controllers import make_controller, optimum, theoretical_cost
-from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate, standard_error
-from .figures import draw_cost_over_speed, draw_policy
-from .training import make_folder, plain, versions, write_atomically
+from .controllers import Controller, make_controller, optimum, theoretical_cost
+from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate
+from .training import Agent, make_folder, plain, versions, write_atomically
 
-RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook")
+RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook", "one_step_lookahead", "optimal_feedback")
+CONSTANT = ("analytic_optimum", "d_min", "d_max")
 SPEEDS = (0.7, 1.0, 1.5, 2.0, 3.0)
 BANDWIDTHS = (0.1, 0.3)
 AGENT = "agent"
+CONFIDENCE = 0.95
+LEAST_ROOM = 0.02  # of the cost of the best constant damping: a feedback that gains less leaves no gap to close
+
+
+@dataclasses.dataclass(frozen=True)
+class Share:
+    """A ratio of costs with its confidence interval, at the level `CONFIDENCE`."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,13 +50,14 @@ class Row:
     Attributes:
         controller: its name.
         point: the operating point.
-        cost, standard_error: mean cost and its standard error; cost is minus the mean reward.
+        cost, standard_error: mean cost over episodes and training seeds, and its standard error; cost is minus the mean reward.
         theory: what theory predicts, for constant dampings, where there is a closed form; else None.
         damping: the constant damping ratio, likewise.
-        gain: share of the analytic optimum's cost that is saved, with its standard error from paired noise.
+        gain: share of the cost of the best constant damping that is saved.
+        gap_closed: share of the way from the best constant damping to the best known feedback; None where that feedback saves
+            less than `LEAST_ROOM`.
         switches: damping switches a second.
-        gap_closed: share of the way from the best constant damping to the optimal feedback, where that was driven and saves
-            more than 2 % of the cost; else None.
+        squares: the mean squares over E Z^2 by name.
     """
 
     controller: str
@@ -47,18 +66,28 @@ class Row:
     standard_error: float
     theory: float | None
     damping: float | None
-    gain: float
-    gain_standard_error: float
+    gain: Share
+    gap_closed: Share | None
     switches: float
-    gap_closed: float | None
+    squares: dict[str, float]
 
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """All rows, and what made them."""
+    """All rows, and what made them.
+
+    Attributes:
+        rows: one for each controller and operating point.
+        task: the task, observed in full.
+        agents: the learned controllers, by name; one agent for each training seed.
+        references: the best known feedback at each operating point, by name; None where no feedback was driven.
+        configuration: environment, evaluation, agents and versions, as JSON knows them.
+    """
 
     rows: tuple[Row, ...]
     task: Task
+    agents: Mapping[str, Sequence[Predictor]]
+    references: tuple[str | None, ...]
     configuration: dict[str, Any]
 
     def row(self, controller: str, point: OperatingPoint) -> Row:
@@ -76,13 +105,31 @@ class Comparison:
         return tuple(dict.fromkeys(row.point for row in self.rows))
 
     def to_json(self) -> str:
-        """Everything as JSON."""
-        rows = []
-        for row in self.rows:
-            content = dataclasses.asdict(row)
-            content.update(content.pop("point"))
-            rows.append(content)
-        return json.dumps({"rows": rows, **self.configuration}, indent=2) + "\n"
+        """Everything as JSON; what is infinite is null."""
+        return json.dumps({"rows": [flat(row) for row in self.rows], **self.configuration}, indent=2, allow_nan=False) + "\n"
+
+    def to_csv(self) -> str:
+        """The rows as CSV."""
+        rows = [flat(row) for row in self.rows]
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return text.getvalue()
+
+
+def flat(row: Row) -> dict[str, Any]:
+    """A row as one mapping of numbers and names."""
+    content: dict[str, Any] = {"controller": row.controller, **dataclasses.asdict(row.point)}
+    for name in ("cost", "standard_error", "theory", "damping"):
+        content[name] = getattr(row, name)
+    for name in ("gain", "gap_closed"):
+        share = getattr(row, name)
+        for part, label in (("value", name), ("low", f"{name}_low"), ("high", f"{name}_high")):
+            content[label] = None if share is None else getattr(share, part)
+    content["switches"] = row.switches
+    content.update({name: value if math.isfinite(value) else None for name, value in row.squares.items()})
+    return content
 
 
 def constant_damping(task: Task, controller: str, point: OperatingPoint) -> float | None:
@@ -96,138 +143,268 @@ def constant_damping(task: Task, controller: str, point: OperatingPoint) -> floa
     return None
 
 
-def make_rows(task: Task, evaluations: Mapping[str, Evaluation]) -> tuple[Row, ...]:
-    """Rows with theory and gains from what was driven."""
+def ratio(numerators: npt.NDArray[np.float64], denominator: npt.NDArray[np.float64]) -> Share:
+    """Mean of ``numerators``, shape (seeds, episodes), over that of ``denominator``, shape (episodes,), driven over one noise.
+
+    The interval adds two parts in squares, by Student's law each: episodes, whose ratio is linearised, and the ratios of the
+    training seeds. The seeds meet the same episodes, whose noise the second part holds too in part: the interval is rather too
+    wide. With one seed there is the first part alone: it speaks of that agent, not of the training.
+    """
+    seeds, episodes = numerators.shape
+    scale = float(denominator.mean())
+    value = float(numerators.mean()) / scale
+    residual = (numerators.mean(axis=0) - value * denominator) / scale
+    half = student.ppf((1 + CONFIDENCE) / 2, episodes - 1) * residual.std(ddof=1) / math.sqrt(episodes)
+    if seeds > 1:
+        spread = (numerators.mean(axis=1) / scale).std(ddof=1)
+        half = math.hypot(half, student.ppf((1 + CONFIDENCE) / 2, seeds - 1) * spread / math.sqrt(seeds))
+    return Share(value, value - half, value + half)
+
+
+def best_feedbacks(evaluations: Mapping[str, Evaluation]) -> tuple[str | None, ...]:
+    """The best known feedback at each operating point: the optimal one where it was driven, else the best classical one."""
+    names = [name for name in evaluations if name not in CONSTANT]
+    points = range(len(evaluations["analytic_optimum"].points))
+    if "optimal_feedback" in names:
+        return tuple("optimal_feedback" for _ in points)
+    return tuple(min(names, key=lambda name: evaluations[name].mean[k], default=None) for k in points)
+
+
+def make_rows(
+    task: Task, learned: Mapping[str, Sequence[Evaluation]], evaluations: Mapping[str, Evaluation]
+) -> tuple[tuple[Row, ...], tuple[str | None, ...]]:
+    """Rows with theory, gains and gaps, and the best known feedbacks, from what was driven.
+
+    Args:
+        task: the task.
+        learned: evaluations of each learned controller, one for each training seed.
+        evaluations: those of the rivals, the analytic optimum among them.
+    """
     rows = []
     closed = not needs_simulation(task.road, task.speed_noise)  # a theory that is itself simulated proves nothing
     best = evaluations["analytic_optimum"].costs
-    for name, evaluation in evaluations.items():
-        for k, point in enumerate(evaluation.points):
-            mean = float(best[k].mean())
-            gain = 1 - float(evaluation.mean[k]) / mean
-            # error of the ratio by linearisation, from paired episodes: both drove over the same roads
-            spread = standard_error((evaluation.costs[k] - (1 - gain) * best[k])[None])[0] / mean
+    references = best_feedbacks(evaluations)
+    for name, seeds in {**learned, **{name: [evaluation] for name, evaluation in evaluations.items()}}.items():
+        for k, point in enumerate(seeds[0].points):
+            costs = np.stack([evaluation.costs[k] for evaluation in seeds])
+            variance = costs.mean(axis=0).var(ddof=1) / costs.shape[1]
+            if len(seeds) > 1:
+                variance += costs.mean(axis=1).var(ddof=1) / len(seeds)
             damping = constant_damping(task, name, point)
-            gap_closed = None
-            if "optimal_feedback" in evaluations:
-                room = mean - float(evaluations["optimal_feedback"].mean[k])
-                gap_closed = (mean - float(evaluation.mean[k])) / room if room > 0.02 * mean else None
+            gap_closed, reference = None, references[k]
+            if reference is not None:
+                room = best[k] - evaluations[reference].costs[k]
+                if room.mean() > LEAST_ROOM * best[k].mean():
+                    gap_closed = ratio(best[k] - costs, room)
+            squares = np.mean([evaluation.squares[:, k].mean(axis=-1) for evaluation in seeds], axis=0)
             rows.append(
                 Row(
                     controller=name,
                     point=point,
-                    cost=float(evaluation.mean[k]),
-                    standard_error=float(evaluation.standard_error[k]),
+                    cost=float(costs.mean()),
+                    standard_error=math.sqrt(variance),
                     theory=theoretical_cost(task, damping, point.speed, point.bandwidth)
                     if damping is not None and closed
                     else None,
                     damping=damping,
-                    gain=gain,
-                    gain_standard_error=float(spread),
-                    switches=float(evaluation.switches[k]),
+                    gain=ratio(best[k] - costs, best[k]),
                     gap_closed=gap_closed,
+                    switches=float(np.mean([evaluation.switches[k] for evaluation in seeds])),
+                    squares=dict(zip(MEAN_SQUARES, squares.tolist(), strict=True)),
                 )
             )
-    return tuple(rows)
+    return tuple(rows), references
+
+
+def observed_in_full(environment: Mapping[str, Any]) -> dict[str, Any]:
+    """The environment with all that it observes by default."""
+    return {name: value for name, value in environment.items() if name not in ("observation", "observe_operating_point")}
+
+
+def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], dict[str, Any]]:
+    """(agents of several training seeds by name, their common environment observed in full), from agents by folder.
+
+    Those that differ in nothing but the seed are one learned controller, named by the first one's folder, or "agent" where
+    there is one only.
+
+    Raises:
+        ParameterError: their environments differ in more than what is observed.
+    """
+    groups: list[list[str]] = []
+    kinds: list[Any] = []
+    for folder, agent in agents.items():
+        kind = [agent.description[key] for key in ("algorithm", "environment", "hyperparameters")]
+        if kind not in kinds:
+            kinds.append(kind)
+            groups.append([])
+        groups[kinds.index(kind)].append(folder)
+    plants = [observed_in_full(kind[1]) for kind in kinds]
+    for plant, group in zip(plants, groups, strict=True):
+        if plant != plants[0]:
+            raise ParameterError(f"agents must have one environment, but for what they observe; {group[0]!r} has another one")
+    if len(groups) == 1:
+        return {AGENT: list(agents.values())}, plants[0]
+    return {Path(group[0]).name: [agents[folder] for folder in group] for group in groups}, plants[0]
+
+
+def make_rivals(task: Task, names: Sequence[str] | None) -> dict[str, Controller]:
+    """The rivals by name, the analytic optimum first; by default those of `RIVALS` that this task allows.
+
+    Raises:
+        ParameterError: an unknown controller, or one that needs what the task has not.
+    """
+    rivals = {"analytic_optimum": make_controller("analytic_optimum", task)}
+    for name in RIVALS if names is None else names:
+        try:
+            rivals[name] = make_controller(name, task)
+        except ParameterError:
+            if names is not None:
+                raise
+    return rivals
 
 
 def compare(
-    agent: Predictor | None,
+    agents: Predictor | Mapping[str, Sequence[Predictor]] | None,
     *,
     environment: Mapping[str, Any],
     speeds: Sequence[float] = SPEEDS,
     bandwidths: Sequence[float] = BANDWIDTHS,
-    controllers: Sequence[str] = RIVALS,
+    controllers: Sequence[str] | None = None,
     episodes: int = 256,
     seed: int = 0,
     report: Callable[[str, int, int], None] | None = None,
-    description: Mapping[str, Any] | None = None,
 ) -> Comparison:
-    """Drive the agent, if there is one, and the classical controllers over the same roads.
+    """Drive learned agents, classical controllers and the optimal feedback over the same roads.
 
     Args:
-        agent: anything with ``predict`` that answers with D; None to compare the classical controllers alone.
-        environment: parameters of the environment, with ranges that hold the operating points.
+        agents: one agent, anything with ``predict`` that answers with D; or by name the agents of several training seeds;
+            None to compare the classical controllers alone.
+        environment: parameters of the environment, with ranges that hold the operating points. Every controller is handed the
+            signals that it needs, whatever the environment observes.
         speeds, bandwidths: the grid of operating points, m/s and 1.
-        controllers: names of the classical controllers; the analytic optimum is always among them. Of those by default,
-            skyhook is left out on a road without a slope.
+        controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS` that the plant
+            allows.
         episodes, seed, report: as for `agents.evaluate`.
-        description: what is known of the agent, for the record.
 
     Raises:
         ParameterError: a parameter out of range, or a signal missing that a controller needs.
     """
-    task = make_task(**environment)
-    drivers: dict[str, Predictor] = {} if agent is None else {AGENT: agent}
-    names = dict.fromkeys(("analytic_optimum", *controllers))
-    if controllers is RIVALS and "slope" not in task.signals:
-        del names["skyhook"]
-    for name in names:
-        drivers[name] = make_controller(name, task)
+    named = {} if agents is None else agents if isinstance(agents, Mapping) else {AGENT: [agents]}
+    plant = observed_in_full(environment)
+    task = make_task(**plant)
+    rivals = make_rivals(task, controllers)
+    drivers: dict[str, Predictor] = {}
+    for name, seeds in named.items():
+        if name in rivals or not seeds:
+            raise ParameterError(f"agents must have names of their own and at least one agent each, got {name!r}")
+        drivers.update({f"{name}, seed {k + 1} of {len(seeds)}": agent for k, agent in enumerate(seeds)})
     evaluations = evaluate(
-        drivers,
-        environment=environment,
+        {**drivers, **rivals},
+        environment=plant,
         speeds=speeds,
         bandwidths=bandwidths,
         episodes=episodes,
         seed=seed,
         report=report,
     )
+    driven = iter([evaluations.pop(name) for name in drivers])
+    learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    rows, references = make_rows(task, learned, evaluations)
     configuration = {
-        "environment": plain(environment),
+        "environment": plain(plant),
         "episodes": episodes,
         "seed": seed,
-        "agent": None if description is None else plain(description),
+        "confidence": CONFIDENCE,
+        "best_known_feedback": references,
+        "agents": {name: [plain(getattr(agent, "description", None)) for agent in seeds] for name, seeds in named.items()},
         "versions": versions(),
         "written": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-    return Comparison(make_rows(task, evaluations), task, configuration)
+    return Comparison(rows, task, named, references, configuration)
 
 
 TITLES = {
-    AGENT: "agent",
+    "agent": "agent",
     "analytic_optimum": "best constant D",
     "d_min": "D_min",
     "d_max": "D_max",
-    "skyhook": "on-off skyhook",
-    "optimal_feedback": "optimal feedback",
+    "skyhook": "skyhook",
+    "skyhook_continuous": "cont. skyhook",
+    "add": "ADD",
+    "mixed_skyhook_add": "mixed SH-ADD",
+    "least_acceleration": "least acc.",
+    "clipped_lqr": "clipped LQR",
+    "one_step_lookahead": "lookahead",
+    "optimal_feedback": "optimal",
 }
+
+
+def percent(share: Share | None) -> str:
+    """A share in per cent with half its confidence interval, or n/a."""
+    # adding 0 makes 0.0 of -0.0
+    return "n/a" if share is None else f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f}%"
+
+
+def weighted(task: Task) -> str:
+    """The cost in words."""
+    return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
+
+
+def notes(comparison: Comparison) -> list[str]:
+    """What the columns mean, a sentence each."""
+    low, high = comparison.task.damping_range
+    lines = [
+        f"cost: mean square of {weighted(comparison.task)} over E Z^2, with the standard error of the last digits in brackets; "
+        f"D within [{low:g}, {high:g}].",
+        f"gain: share of the cost of the best constant D that is saved. Intervals are of {100 * CONFIDENCE:g} % confidence.",
+    ]
+    if any(name is not None for name in comparison.references):
+        kinds = " or ".join(dict.fromkeys(TITLES.get(name, name) for name in comparison.references if name is not None))
+        lines.append(
+            f"gap closed: share of the way from the best constant D to the best known feedback ({kinds}); over 100 % where "
+            f"that is beaten, n/a where it saves less than {100 * LEAST_ROOM:g} %."
+        )
+    for name, seeds in comparison.agents.items():
+        lines.append(
+            f"{name}: mean of {len(seeds)} training seeds."
+            if len(seeds) > 1
+            else f"{name}: one training seed; the intervals do not hold what another seed would change."
+        )
+    return lines
+
+
+def columns(comparison: Comparison) -> list[tuple[str, str, list[str]]]:
+    """The table as columns: title of the controller, of the column, and a cell for each operating point."""
+    task, points = comparison.task, comparison.points
+    found = [("nu", "", [f"{task.frequency_ratio(point.speed):g}" for point in points])]
+    if task.bandwidth[1] > 0:
+        found.append(("delta", "", [f"{point.bandwidth:g}" for point in points]))
+    for name in comparison.controllers:
+        rows = [comparison.row(name, point) for point in points]
+        found.append((TITLES.get(name, name), "cost", [with_error(row.cost, row.standard_error) for row in rows]))
+        if name == "analytic_optimum":
+            if rows[0].theory is not None:
+                found.append(("", "theory", [f"{row.theory:.4f}" for row in rows]))
+            found.append(("", "D", [f"{row.damping:.3f}" for row in rows]))
+        if name in comparison.agents:
+            if any(comparison.references):
+                found.append(("", "gap closed", [percent(row.gap_closed) for row in rows]))
+            else:
+                found.append(("", "gain", [percent(row.gain) for row in rows]))
+    return found
+
+
+def mean_gap_closed(comparison: Comparison, name: str) -> float | None:
+    """Mean over the operating points that have a gap of the share that a controller closes; None where there is none."""
+    shares = [row.gap_closed.value for row in comparison.rows if row.controller == name and row.gap_closed is not None]
+    return float(np.mean(shares)) if shares else None
 
 
 def table(comparison: Comparison) -> str:
     """The comparison as text: one line an operating point, costs with the standard error of their last digits in brackets."""
-    task = comparison.task
-    low, high = task.damping_range
-    names = comparison.controllers
-    with_bandwidth = task.bandwidth[1] > 0
-    head, under = ["nu"], [""]
-    if with_bandwidth:
-        head, under = [*head, "delta"], [*under, ""]
-    for name in names:
-        head, under = [*head, TITLES.get(name, name)], [*under, "cost"]
-        if comparison.row(name, comparison.points[0]).theory is not None:
-            head, under = [*head, ""], [*under, "theory"]
-        if name == "analytic_optimum":
-            head, under = [*head, ""], [*under, "D"]
-        if name == AGENT:
-            head, under = [*head, ""], [*under, "gain"]
-            if "optimal_feedback" in names:
-                head, under = [*head, ""], [*under, "gap closed"]
-    lines = [head, under]
-    for point in comparison.points:
-        cells = [f"{task.frequency_ratio(point.speed):g}"] + ([f"{point.bandwidth:g}"] if with_bandwidth else [])
-        for name in names:
-            row = comparison.row(name, point)
-            cells.append(with_error(row.cost, row.standard_error))
-            if row.theory is not None:
-                cells.append(f"{row.theory:.4f}")
-            if name == "analytic_optimum":
-                cells.append(f"{row.damping:.3f}")
-            if name == AGENT:
-                cells.append(f"{100 * row.gain:.1f}({max(1, round(1000 * row.gain_standard_error))})%")
-                if "optimal_feedback" in names:
-                    cells.append("n/a" if row.gap_closed is None else f"{100 * row.gap_closed:.0f}%")
-        lines.append(cells)
+    found = columns(comparison)
+    head, under = [title for title, _, _ in found], [label for _, label, _ in found]
+    lines = [head, under, *(list(cells) for cells in zip(*(cells for _, _, cells in found), strict=True))]
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     # a title may reach into the columns that belong to it
     for i, title in enumerate(head):
@@ -240,14 +417,13 @@ def table(comparison: Comparison) -> str:
         else:
             text.append("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
         if number == 1:
-            text.append("-" * len(text[-1]))
-    weights = " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
+            text.append("-" * max(map(len, text)))
     text.append("")
-    text.append(f"cost: mean square of {weights} over E Z^2, with the standard error of the last digits in brackets;")
-    text.append(f"gain: share of the cost of the best constant D that the agent saves; D within [{low:g}, {high:g}].")
-    if "optimal_feedback" in names:
-        text.append("gap closed: share of the way from the best constant D to the optimal feedback.")
-    return "\n".join(text)
+    for name in comparison.agents:
+        closed = mean_gap_closed(comparison, name)
+        if closed is not None:
+            text.append(f"{name} closes {100 * closed:.1f} % of the gap on average.")
+    return "\n".join([*text, *notes(comparison)])
 
 
 def _title_line(head: Sequence[str], widths: Sequence[int]) -> str:
@@ -270,14 +446,28 @@ def with_error(value: float, error: float) -> str:
     return f"{value:.{digits}f}({round(error * 10**digits)})"
 
 
-def write(comparison: Comparison, folder: str | Path, agent: Predictor | None) -> list[Path]:
-    """Write comparison.json, the table and the figures into ``folder``; returns the files."""
+def write(comparison: Comparison, folder: str | Path, report: Callable[[str, int, int], None] | None = None) -> list[Path]:
+    """Write the report, comparison.html with everything in it, and beside it JSON, CSV, the table and the figures.
+
+    Args:
+        comparison: what was driven.
+        folder: where to; it is made if need be.
+        report: called as ``report(what, done, in all)`` while the figures are drawn.
+
+    Returns:
+        The files, the report first.
+    """
+    from .figures import draw_figures
+    from .report import make_report
+
     path = make_folder(folder)
-    write_atomically(path / "comparison.json", comparison.to_json())
-    write_atomically(path / "comparison.txt", table(comparison) + "\n")
-    files = [path / "comparison.json", path / "comparison.txt", path / "cost_over_speed.png"]
-    draw_cost_over_speed(comparison, files[-1])
-    if agent is not None and "slope" in comparison.task.signals:
-        files.append(path / "policy.png")
-        draw_policy(agent, comparison, files[-1])
-    return files
+    figures = draw_figures(comparison, path, report)
+    contents = {
+        "comparison.html": make_report(comparison, figures),
+        "comparison.json": comparison.to_json(),
+        "comparison.csv": comparison.to_csv(),
+        "comparison.txt": table(comparison) + "\n",
+    }
+    for name, content in contents.items():
+        write_atomically(path / name, content)
+    return [*(path / name for name in contents), *(figure.path for figure in figures)]

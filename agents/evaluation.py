@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, non_negative, positive, whole
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
@@ -19,7 +21,10 @@ FEWEST_EPISODES = 16  # a standard error from fewer is itself uncertain by more 
 
 
 class Predictor(Protocol):
-    """What is evaluated: anything with ``predict``."""
+    """What is evaluated: anything with ``predict``.
+
+    Where it has an attribute ``task``, it is handed the signals that its task observes, else those of the environment.
+    """
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -42,11 +47,13 @@ class Evaluation:
     Attributes:
         points: the operating points.
         costs: mean cost (minus the reward) of each episode, shape (points, episodes).
+        squares: mean squares of each episode over E Z^2, in the order of `roadgym.MEAN_SQUARES`, shape (5, points, episodes).
         switches: crossings of the middle of the damping range a second, shape (points,).
     """
 
     points: tuple[OperatingPoint, ...]
     costs: npt.NDArray[np.float64]
+    squares: npt.NDArray[np.float64]
     switches: npt.NDArray[np.float64]
 
     @property
@@ -80,6 +87,32 @@ def make_points(task: Task, speeds: Sequence[float], bandwidths: Sequence[float]
         if not values:
             raise ParameterError(f"at least one {name} is needed")
     return tuple(OperatingPoint(v, b) for v in chosen["speed"] for b in chosen["bandwidth"])
+
+
+def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
+    """The signals that a controller is handed: those that its own task observes, or else those of ``task``."""
+    own: Task = getattr(controller, "task", task)
+    return own.signals
+
+
+def drive(
+    controller: Predictor, envs: QuarterCarVectorEnv, seed: int, options: Mapping[str, Any]
+) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any], dict[str, Any]]]:
+    """Drive on and on after a reset, handing the controller what it observes of the signals of ``envs``.
+
+    Yields:
+        Observations before the step, damping ratios, rewards and infos of each step.
+    """
+    column = {signal: i for i, signal in enumerate(envs.task.signals)}
+    columns = [column[signal] for signal in observed_by(controller, envs.task)]
+    observations, _ = envs.reset(seed=seed, options=dict(options))
+    state, start = None, np.ones(envs.num_envs, np.bool_)
+    while True:
+        damping, state = controller.predict(observations[:, columns], state, start, deterministic=True)
+        start = np.zeros(envs.num_envs, np.bool_)
+        before = observations
+        observations, rewards, _, _, infos = envs.step(damping)
+        yield before, damping, rewards, infos
 
 
 def evaluate(
@@ -122,25 +155,23 @@ def evaluate(
         raise ParameterError(f"duration must be at least one control interval, {task.control_interval:g} s, got {duration:g}")
 
     number = episodes * len(points)
-    envs = QuarterCarVectorEnv(number, max_episode_steps=None, **environment)
+    observed = dict.fromkeys(signal for controller in controllers.values() for signal in observed_by(controller, task))
+    envs = QuarterCarVectorEnv(number, max_episode_steps=None, **{**environment, "observation": list(observed)})
     options: dict[str, Any] = {"speed": np.repeat([point.speed for point in points], episodes)}
     if task.bandwidth[1] > 0:
         options["bandwidth"] = np.repeat([point.bandwidth for point in points], episodes)
     middle = np.float32(sum(task.damping_range) / 2)
     result = {}
     for name, controller in controllers.items():
-        observations, _ = envs.reset(seed=stream_seed(seed, 1), options=options)
-        total, switches = np.zeros(number), np.zeros(number)
+        total, squares, switches = np.zeros(number), np.zeros((len(MEAN_SQUARES), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
-        state = None
-        start = np.ones(number, np.bool_)
-        for step in range(skipped + measured):
-            damping, state = controller.predict(observations, state, start, deterministic=True)
-            start = np.zeros(number, np.bool_)
-            observations, rewards, _, _, _ = envs.step(damping)
+        steps = drive(controller, envs, stream_seed(seed, 1), options)
+        for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
             was_firm, firm = firm, damping[:, 0] > middle
             if step >= skipped:
                 total -= rewards
+                for square, signal in zip(squares, MEAN_SQUARES, strict=True):
+                    square += infos[signal]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
                 report(name, step + 1, skipped + measured)
@@ -148,6 +179,7 @@ def evaluate(
         result[name] = Evaluation(
             points,
             (total / measured).reshape(shape),
+            (squares / (measured * task.road.variance)).reshape(-1, *shape),
             switches.reshape(shape).mean(axis=1) / (measured * task.control_interval),
         )
     return result

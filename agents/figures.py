@@ -1,38 +1,100 @@
-"""The pictures of a comparison: cost over speed, and how an agent uses the damper."""
+"""The pictures of a comparison: cost over speed, an agent's use of the damper, its schedule, two signals against each other."""
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+import analysis
+from analysis.response import needs_simulation
+from roadgym.car import MEAN_SQUARES
+from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
-from .controllers import optimum, theoretical_cost
+from .controllers import OptimalFeedback, optimum, road_at, theoretical_cost
+from .evaluation import OperatingPoint, Predictor, drive, evaluate, observed_by
 from .training import stream_seed
 
 if TYPE_CHECKING:
     from .comparison import Comparison
-    from .evaluation import Predictor
 
 # Okabe and Ito's colours, told apart by readers with any colour vision, each with a mark of its own
 STYLES: dict[str, dict[str, Any]] = {
-    "agent": {"color": "#D55E00", "marker": "o", "zorder": 5},
     "analytic_optimum": {"color": "#0072B2", "marker": "s"},
     "d_min": {"color": "#999999", "marker": "v"},
     "d_max": {"color": "#000000", "marker": "^"},
     "skyhook": {"color": "#009E73", "marker": "D"},
+    "one_step_lookahead": {"color": "#CC79A7", "marker": "P"},
+    "optimal_feedback": {"color": "#E69F00", "marker": "*", "markersize": 9},
 }
+LEARNED = ("#D55E00", "#56B4E9", "#882255", "#117733")
+OTHERS = ("x", "+", "1", "2", "3", "4", "|")
 LABELS = {
-    "agent": "agent",
     "analytic_optimum": "best constant $D$",
     "d_min": "$D_{\\min}$",
     "d_max": "$D_{\\max}$",
     "skyhook": "on-off skyhook",
+    "skyhook_continuous": "continuous skyhook",
+    "add": "ADD",
+    "mixed_skyhook_add": "mixed skyhook-ADD",
+    "least_acceleration": "least acceleration",
+    "clipped_lqr": "clipped LQR",
+    "one_step_lookahead": "one-step lookahead",
+    "optimal_feedback": "optimal feedback",
 }
+FRONT = (0.1, 0.3, 1.0, 3.0, 10.0)  # factors of the first weight along the front of the optimal feedbacks
+Report = Callable[[str, int, int], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A picture that was written: its file, and what it shows."""
+
+    path: Path
+    caption: str
+
+
+def style(comparison: Comparison, name: str) -> dict[str, Any]:
+    """Colour and mark of a controller, for `matplotlib.axes.Axes.errorbar`."""
+    if name in comparison.agents:
+        number = list(comparison.agents).index(name)
+        return {"color": LEARNED[number % len(LEARNED)], "marker": "o", "zorder": 5}
+    if name in STYLES:
+        return STYLES[name]
+    others = [other for other in comparison.controllers if other not in STYLES and other not in comparison.agents]
+    return {"color": "#666666", "marker": OTHERS[others.index(name) % len(OTHERS)]}
+
+
+def draw_figures(comparison: Comparison, folder: Path, report: Report | None = None) -> list[Picture]:
+    """Draw every picture that the comparison has; returns them in order."""
+    pictures = [
+        Picture(
+            draw_cost_over_speed(comparison, folder / "cost_over_speed.png"),
+            "Cost over the frequency ratio. Marks: driven, with two standard errors. Full lines: theory.",
+        )
+    ]
+    for name, agents in comparison.agents.items():
+        agent, suffix = agents[0], "" if len(comparison.agents) == 1 else f"-{name}"
+        seen = set(observed_by(agent, comparison.task)) - set(OPERATING_POINT)
+        if not seen and not needs_simulation(comparison.task.road, comparison.task.speed_noise):
+            path = folder / f"schedule{suffix}.png"
+            pictures.append(Picture(path, draw_schedule(name, agents, comparison, path)))
+        elif seen and "slope" in comparison.task.signals:
+            path = draw_policy(agent, comparison, folder / f"policy{suffix}.png")
+            caption = f"The damping that {name} chooses over the states that it meets, at three speeds."
+            pictures.append(Picture(path, caption))
+    if len(comparison.task.weights_by_name) > 1:
+        path = folder / "pareto.png"
+        pictures.append(Picture(path, draw_pareto(comparison, path, report)))
+    return pictures
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -46,7 +108,7 @@ def save_figure(figure: Figure, path: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
+def draw_cost_over_speed(comparison: Comparison, path: Path) -> Path:
     """Measured costs with error bars over the frequency ratio, and theory's curves for the constant dampings."""
     task = comparison.task
     bandwidths = sorted({point.bandwidth for point in comparison.points})
@@ -58,7 +120,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
         for name in comparison.controllers:
             rows = [comparison.row(name, point) for point in comparison.points if point.bandwidth == bandwidth]
             rows.sort(key=lambda row: row.point.speed)
-            style = STYLES.get(name, {"marker": "x"})
+            look = {"markersize": 5, **style(comparison, name)}
             ratios = [task.frequency_ratio(row.point.speed) for row in rows]
             axis.errorbar(
                 ratios,
@@ -66,10 +128,9 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
                 [2 * row.standard_error for row in rows],
                 linestyle="none" if rows[0].theory is not None else "--",
                 linewidth=1.2,
-                markersize=5,
                 capsize=2,
                 label=LABELS.get(name, name),
-                **style,
+                **look,
             )
             if rows[0].theory is not None:
                 low, high = task.damping_range
@@ -80,7 +141,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
                     else theoretical_cost(task, constant[name], speed, bandwidth)
                     for speed in fine.tolist()
                 ]
-                axis.plot(task.frequency_ratio(fine), curve, color=style["color"], linewidth=1.2)
+                axis.plot(task.frequency_ratio(fine), curve, color=look["color"], linewidth=1.2)
         axis.set_yscale("log")
         axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
         axis.set_title(f"bandwidth $\\delta = {bandwidth:g}$" if bandwidth else task.road.kind)
@@ -90,9 +151,10 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> None:
         title="marks: driven, ± 2 standard errors\nlines: theory (dashed: a guide to the eye)", fontsize=8, title_fontsize=8
     )
     save_figure(figure, path)
+    return path
 
 
-def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> None:
+def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
     """The damping that the agent chooses over the states that it meets, at three speeds.
 
     Upper row: over the velocities of the body and of the suspension, where skyhook switches on the axes. Lower row: over the
@@ -106,19 +168,18 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> None:
     axes = figure.subplots(2, len(shown), squeeze=False)
     low, high = task.damping_range
     mesh: Any = None
-    number, steps, skipped = 512, 150, 100
-    position = {name: i for i, name in enumerate(task.signals)}
+    number, steps_shown, skipped = 512, 150, 100
+    observed = dict.fromkeys((*task.signals, *observed_by(agent, task)))
+    environment = {**comparison.configuration["environment"], "observation": list(observed)}
+    position = {name: i for i, name in enumerate(observed)}
     for column, speed in enumerate(shown):
-        envs = QuarterCarVectorEnv(number, max_episode_steps=None, **comparison.configuration["environment"])
+        envs = QuarterCarVectorEnv(number, max_episode_steps=None, **environment)
         options = {"speed": speed} | ({"bandwidth": bandwidth} if bandwidth else {})
-        observations, _ = envs.reset(seed=stream_seed(comparison.configuration["seed"], 2), options=options)
+        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], 2), options)
         seen, chosen = [], []
-        for step in range(skipped + steps):
-            damping, _ = agent.predict(observations)
-            if step >= skipped:
-                seen.append(observations)
-                chosen.append(damping[:, 0])
-            observations = envs.step(damping)[0]
+        for observations, damping, _, _ in itertools.islice(steps, skipped, skipped + steps_shown):
+            seen.append(observations)
+            chosen.append(damping[:, 0])
         states = np.concatenate(seen)
         values = np.concatenate(chosen)
         signal = {name: states[:, i] for name, i in position.items()}
@@ -151,3 +212,118 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> None:
     axes[1, 0].set_ylabel("travel $(Y - Z)/\\sigma_Z$")
     figure.colorbar(mesh, ax=axes, label="mean damping ratio $D$ that the agent chooses", shrink=0.8)
     save_figure(figure, path)
+    return path
+
+
+def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison, path: Path) -> str:
+    """The damping that agents who see the operating point alone choose, over the analytic optimum; returns the caption.
+
+    Left: D over the frequency ratio. Right: by how much their cost exceeds the least, both by theory.
+    """
+    task = comparison.task
+    speeds = np.linspace(*task.speed, 60)
+    bandwidths = sorted({point.bandwidth for point in comparison.points})
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    ratios = task.frequency_ratio(speeds)
+    largest, place = 0.0, comparison.points[0]
+    for number, bandwidth in enumerate(bandwidths):
+        best = [optimum(task, speed, bandwidth) for speed in speeds.tolist()]
+        colour = ("#0072B2", "#009E73", "#CC79A7", "#E69F00")[number % 4]
+        label = f"$\\delta = {bandwidth:g}$" if bandwidth else task.road.kind
+        left.plot(ratios, [point.damping for point in best], color=colour, label=f"analytic, {label}")
+        for agent in agents:
+            point = {"speed": ratios / (1 + ratios), "bandwidth": np.full(len(speeds), 2 * bandwidth / (1 + 2 * bandwidth))}
+            seen = np.stack([point[signal] for signal in observed_by(agent, task)], axis=1).astype(np.float32)
+            damping = agent.predict(seen)[0][:, 0]
+            pairs = zip(speeds.tolist(), damping.tolist(), strict=True)
+            costs = [theoretical_cost(task, d, speed, bandwidth) for speed, d in pairs]
+            excess = np.array(costs) / [float(point.cost) for point in best] - 1
+            left.plot(
+                ratios, damping, "--", color=colour, linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None
+            )
+            right.plot(ratios, 100 * excess, color=colour, label=label if agent is agents[0] else None)
+            if excess.max() > largest:
+                largest, place = float(excess.max()), OperatingPoint(float(speeds[excess.argmax()]), bandwidth)
+    left.set_ylabel("damping ratio $D$")
+    right.set_ylabel("cost above the least, %")
+    for axis in (left, right):
+        axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
+        axis.grid(visible=True, linewidth=0.3)
+        axis.legend(fontsize=8)
+    save_figure(figure, path)
+    at = f"nu = {task.frequency_ratio(place.speed):.3g}" + (f", delta = {place.bandwidth:g}" if place.bandwidth else "")
+    who = name if len(agents) == 1 else f"the {len(agents)} training seeds of {name}"
+    return (
+        f"The schedule of {who}, which sees the operating point alone, over the analytic optimum D*(nu, delta). By theory its "
+        f"cost is at most {100 * largest:.2f} % above the least, at {at}."
+    )
+
+
+def optimal_front(
+    comparison: Comparison, names: Sequence[str], point: OperatingPoint, report: Report | None
+) -> npt.NDArray[np.float64]:
+    """Two mean squares of the optimal feedbacks for `FRONT` of their weights' ratios, driven, shape (5, 2)."""
+    weights = comparison.task.weights_by_name
+    found = []
+    for number, factor in enumerate(FRONT):
+        if report:
+            report("optimal feedbacks of other weights", number, len(FRONT))
+        reward = {names[0]: factor * weights[names[0]], names[1]: weights[names[1]]}
+        environment = {**comparison.configuration["environment"], "reward": reward}
+        feedback = OptimalFeedback(make_task(**environment))
+        seed, episodes = comparison.configuration["seed"], comparison.configuration["episodes"]
+        options = {"speeds": [point.speed], "bandwidths": [point.bandwidth], "episodes": episodes, "seed": seed}
+        driven = evaluate({"optimal": feedback}, environment=environment, **options)["optimal"]
+        found.append([driven.squares[MEAN_SQUARES.index(name), 0].mean() for name in names])
+    if report:
+        report("optimal feedbacks of other weights", len(FRONT), len(FRONT))
+    return np.array(found)
+
+
+def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> str:
+    """The first two weighted mean squares against each other at one operating point; returns the caption.
+
+    A line of constant dampings by theory, the controllers as driven, and the front of the optimal feedbacks for other weights,
+    where the comparison drove the optimal feedback.
+    """
+    task = comparison.task
+    names = list(task.weights_by_name)[:2]
+    speeds = sorted({point.speed for point in comparison.points})
+    point = next(point for point in comparison.points if point.speed == speeds[(len(speeds) - 1) // 2])
+    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    axis = figure.subplots()
+    if not needs_simulation(task.road, task.speed_noise):
+        dampings = np.geomspace(*task.damping_range, 120)
+        squares = analysis.mean_squares(
+            road_at(task, point.bandwidth),
+            task.speed_noise,
+            damping=dampings,
+            speed=point.speed,
+            natural_frequency=task.car.natural_frequency,
+        )
+        x, y = (np.asarray(getattr(squares, name)) / task.road.variance for name in names)
+        axis.plot(x, y, color="#0072B2", linewidth=1.2, label="constant $D$, theory")
+        for value in (0.1, 0.2, 0.3, 0.5, 0.7):
+            if task.damping_range[0] < value < task.damping_range[1]:
+                k = int(np.argmin(np.abs(dampings - value)))
+                axis.plot(x[k], y[k], ".", color="#0072B2")
+                axis.annotate(f"{value:g}", (x[k], y[k]), (4, 4), textcoords="offset points", fontsize=7, color="#0072B2")
+    if "optimal_feedback" in comparison.controllers:
+        front = optimal_front(comparison, names, point, report)
+        look = {**STYLES["optimal_feedback"], "markersize": 5}
+        axis.plot(*front.T, linestyle=":", label="optimal feedback, other weights", **look)
+    for name in comparison.controllers:
+        row = comparison.row(name, point)
+        place = [row.squares[signal] for signal in names]
+        look = {"markersize": 8, **style(comparison, name)}
+        axis.plot(*place, linestyle="none", label=LABELS.get(name, name), **look)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel(f"mean square of {names[0].replace('_', ' ')} over $E\\,Z^2$")
+    axis.set_ylabel(f"mean square of {names[1].replace('_', ' ')} over $E\\,Z^2$")
+    at = f"nu = {task.frequency_ratio(point.speed):g}" + (f", delta = {point.bandwidth:g}" if point.bandwidth else "")
+    axis.grid(visible=True, which="both", linewidth=0.3)
+    axis.legend(fontsize=8)
+    save_figure(figure, path)
+    return f"{names[0]} against {names[1]} at {at}: lower and further left is better in both."

@@ -675,6 +675,13 @@ def _drive(
     return _Drive(mean, error, np.sqrt(squares / measured), measured // PIECE)
 
 
+def check_road(road: Road) -> None:
+    """Raises `ParameterError` for a road on which `optimal_feedback` is not there."""
+    on_circle = isinstance(road, MultiplicativeRoad) and road.is_circle
+    if not on_circle and not isinstance(road, GaussianRoad):
+        raise ParameterError(f"road must be gaussian, or multiplicative on a circle, got {road!r}")
+
+
 def optimal_feedback(
     road: str | Mapping[str, Any] | Road,
     *,
@@ -717,10 +724,7 @@ def optimal_feedback(
         ParameterError: a parameter out of range, a road of another kind, or a weight on no mean square.
     """
     road = make_road(road)
-    if not isinstance(road, (GaussianRoad, MultiplicativeRoad)) or (
-        isinstance(road, MultiplicativeRoad) and not road.is_circle
-    ):
-        raise ParameterError(f"road must be gaussian, or multiplicative on a circle, got {road!r}")
+    check_road(road)
     if bandwidth is not None:
         road = road.with_bandwidth(positive("bandwidth", bandwidth))
     check_weights(weights, road)

@@ -1,5 +1,6 @@
 """Evaluation, comparison and the command line, at small size."""
 
+import csv
 import json
 import re
 import subprocess
@@ -11,8 +12,8 @@ import pytest
 
 import agents
 from agents.cli import main
-from agents.comparison import Comparison, compare, make_rows, table, with_error, write
-from agents.controllers import ConstantDamping, make_controller, theoretical_cost
+from agents.comparison import Comparison, Share, compare, make_rows, ratio, table, with_error, write
+from agents.controllers import ConstantDamping, make_controller, optimum, theoretical_cost
 from agents.evaluation import Evaluation, OperatingPoint, evaluate
 from roadgym import ParameterError
 from roadgym.task import make_task
@@ -101,10 +102,18 @@ def test_errors_in_brackets():
     assert with_error(5.0, 0.0) == "5.0000"
 
 
+RIVALS = ("d_min", "skyhook", "one_step_lookahead")
+
+
 @pytest.fixture(scope="module")
 def comparison():
     return compare(
-        make_controller("skyhook", TASK), environment=ENVIRONMENT, speeds=[1.0, 2.0], bandwidths=[0.1, 0.3], episodes=16
+        make_controller("skyhook", TASK),
+        environment=ENVIRONMENT,
+        speeds=[1.0, 2.0],
+        bandwidths=[0.1, 0.3],
+        controllers=RIVALS,
+        episodes=16,
     )
 
 
@@ -112,27 +121,85 @@ def test_comparison_states_gains_and_theory(comparison):
     point = comparison.points[0]
     agent, skyhook, best = (comparison.row(name, point) for name in ("agent", "skyhook", "analytic_optimum"))
     assert agent.cost == skyhook.cost  # the agent here is skyhook, and the roads are the same
-    assert agent.gain == pytest.approx(1 - agent.cost / best.cost)
-    assert best.gain == 0
+    assert agent.gain.value == pytest.approx(1 - agent.cost / best.cost)
+    assert best.gain == Share(0, 0, 0)
     assert agent.theory is None
     assert best.theory == pytest.approx(theoretical_cost(TASK, best.damping, point.speed, point.bandwidth))
+    assert agent.squares["displacement"] == pytest.approx(agent.cost, rel=1e-5)  # single precision
     text = table(comparison)
-    assert len(text.splitlines()) == 2 + 1 + 4 + 3
-    assert max(len(line) for line in text.splitlines()) < 128
+    assert max(len(line) for line in text.splitlines() if "|" in line or "±" in line) < 128
+    assert "one training seed" in text
     content = json.loads(comparison.to_json())
     assert len(content["rows"]) == 4 * 5
     assert content["environment"]["road"] == "multiplicative"
     assert content["versions"]["roadgym"]
+    rows = list(csv.DictReader(comparison.to_csv().splitlines()))
+    assert [float(row["cost"]) for row in rows] == [row["cost"] for row in content["rows"]]
 
 
-def test_comparison_is_written_with_pictures(comparison, tmp_path):
-    files = write(comparison, tmp_path / "out", make_controller("skyhook", TASK))
+def test_comparison_is_written_as_one_page_with_files_beside(comparison, tmp_path):
+    files = write(comparison, tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(path.name for path in files)
-    for file in files:
-        if file.suffix == ".png":
-            picture = matplotlib.image.imread(file)
-            assert picture.shape[0] > 500
-            assert picture[..., :3].std() > 0.05  # not blank
+    pictures = [file for file in files if file.suffix == ".png"]
+    for file in pictures:
+        picture = matplotlib.image.imread(file)
+        assert picture.shape[0] > 500
+        assert picture[..., :3].std() > 0.05  # not blank
+    page = (tmp_path / "out" / "comparison.html").read_text()
+    assert not re.search(r"(src|href)=\"(?!data:)", page)  # it asks the network for nothing
+    assert page.count("data:image/png;base64,") == len(pictures) == 2
+    for row in comparison.rows:
+        assert f"<td>{with_error(row.cost, row.standard_error)}</td>" in page
+    assert f"numpy&nbsp;{np.__version__}" in page
+
+
+class SeesLess(ConstantDamping):
+    """A controller that sees two signals in its own order."""
+
+    def damping(self, signals):
+        assert set(signals) == {"travel", "velocity", "speed", "bandwidth"}
+        return 0.1 + 0.2 * (signals["travel"] > 0)
+
+
+def test_each_controller_is_handed_what_its_task_observes():
+    own = make_task(**ENVIRONMENT, observation=["velocity", "travel"])
+    options = {"speeds": [1.5], "bandwidths": [0.1], "episodes": 16, "duration": 20.0}
+    found = evaluate({"less": SeesLess(own, 0.0), "all": make_controller("skyhook", TASK)}, environment=ENVIRONMENT, **options)
+    alone = evaluate({"all": make_controller("skyhook", TASK)}, environment=ENVIRONMENT, **options)
+    np.testing.assert_array_equal(found["all"].costs, alone["all"].costs)
+    assert found["less"].mean[0] > 0
+
+
+def test_weights_of_two_signals_draw_their_front(tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.figures.FRONT", (1.0,))
+    environment = {**ENVIRONMENT, "reward": {"acceleration": 1.0, "travel": 0.5}}
+    found = compare(
+        None, environment=environment, speeds=[1.5], bandwidths=[0.3], controllers=["skyhook", "optimal_feedback"], episodes=16
+    )
+    files = write(found, tmp_path)
+    assert tmp_path / "pareto.png" in files
+    assert "acceleration against travel at nu = 1.5, delta = 0.3" in (tmp_path / "comparison.html").read_text()
+    # the optimal feedback is best for these weights, and each controller costs its weighted mean squares
+    costs = {row.controller: row.cost for row in found.rows}
+    assert min(costs, key=costs.get) == "optimal_feedback"
+    for row in found.rows:
+        assert row.cost == pytest.approx(row.squares["acceleration"] + 0.5 * row.squares["travel"], rel=1e-4)
+
+
+def test_schedule_of_an_agent_that_sees_the_operating_point(tmp_path):
+    own = make_task(**ENVIRONMENT, observation=[])
+    found = compare(ConstantDamping(own, 0.5), environment=ENVIRONMENT, speeds=[1.5], controllers=[], episodes=16)
+    assert found.references == (None, None)
+    files = write(found, tmp_path)
+    assert tmp_path / "schedule.png" in files
+    page = (tmp_path / "comparison.html").read_text()
+    excess = float(re.search(r"at most ([0-9.]+) % above the least", page)[1])
+    worst = max(
+        theoretical_cost(TASK, 0.5, speed, bandwidth) / optimum(TASK, speed, bandwidth).cost - 1
+        for speed in np.linspace(0.7, 3.0, 60).tolist()
+        for bandwidth in (0.1, 0.3)
+    )
+    assert excess == pytest.approx(100 * worst, abs=0.006)
 
 
 def run(*arguments):
@@ -144,27 +211,38 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
     hyperparameters.write_text(HYPERPARAMETERS)
     output = tmp_path / "results"
     options = ["--episodes", 16, "--speeds", 1.5, "--bandwidths", 0.1]
-    assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *options) == 0
+    compared = [*options, "--controllers", "skyhook"]
+    assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 0
     first = capsys.readouterr().out
     assert re.search(r"1\.5 +0\.1 ", first)
-    assert {"comparison.json", "comparison.txt", "cost_over_speed.png", "policy.png", "agent"} == {
-        path.name for path in output.iterdir()
-    }
+    written = ["comparison.html", "comparison.json", "comparison.csv", "comparison.txt", "cost_over_speed.png", "policy.png"]
+    assert {*written, "agent-0"} == {path.name for path in output.iterdir()}
     # the same command again finds its agent trained, and says the same
-    assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *options) == 0
+    assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 0
     assert capsys.readouterr().out == first
-    assert run("compare", "--agent", output / "agent", "--output", tmp_path / "again", "--json", *options) == 0
+    assert run("compare", "--agent", output / "agent-0", "--output", tmp_path / "again", "--json", *compared) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["controller"] == "agent"
-    assert run("evaluate", "--agent", output / "agent", *options) == 0
+    assert run("evaluate", "--agent", output / "agent-0", *options) == 0
     assert "switches" in capsys.readouterr().out
     assert run("evaluate", "--controller", "skyhook", "--json", *options) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["standard_error"] > 0
-    # another seed in the same folder is another agent: refused, and the first one stays
-    assert run("compare", "--output", output, "--seed", 1, "--hyperparameters", hyperparameters, *options) == 2
+    # more seeds train beside the first one
+    assert run("compare", "--output", output, "--seeds", 2, "--hyperparameters", hyperparameters, *compared) == 0
+    assert "mean of 2 training seeds" in capsys.readouterr().out
+    assert agents.load(output / "agent-1").description["seed"] == 1
+    # other hyperparameters in the same folder are another agent: refused, and the first one stays
+    hyperparameters.write_text(HYPERPARAMETERS.replace("[8]", "[9]"))
+    assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 2
     assert "holds an agent already" in capsys.readouterr().err
-    assert agents.load(output / "agent").description["seed"] == 0
-    assert run("train", "--output", output / "agent", "--resume", "--timesteps", 600) == 0
-    assert agents.load(output / "agent").description["timesteps"] >= 600
+    assert agents.load(output / "agent-0").description["hyperparameters"]["policy_kwargs"]["net_arch"] == [8]
+    assert run("train", "--output", output / "agent-0", "--resume", "--timesteps", 600) == 0
+    assert agents.load(output / "agent-0").description["timesteps"] >= 600
+    # two agents that differ in more than the seed are two learned controllers
+    assert run("train", "--output", output / "wider", "--hyperparameters", hyperparameters) == 0
+    folders = [output / "agent-0", output / "wider"]
+    assert run("compare", "--agent", *folders, "--output", tmp_path / "two", "--json", *compared) == 0
+    rows = json.loads("{" + capsys.readouterr().out.partition("{")[2])["rows"]
+    assert {row["controller"] for row in rows} == {"agent-0", "wider", "analytic_optimum", "skyhook"}
 
 
 @pytest.mark.parametrize(
@@ -205,19 +283,53 @@ def test_help_is_quick_and_has_an_example():
     assert output.endswith("False\n")
 
 
-def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
+def driven(*costs, episodes=32):
+    """An evaluation at one point, of these costs with a little noise that all have in common."""
+    noise = np.random.default_rng(1).normal(0, 0.05, (1, episodes))
     point = OperatingPoint(1.5, 0.1)
-    generator = np.random.default_rng(1)
+    return [Evaluation((point,), cost * (1 + noise), np.zeros((5, 1, episodes)), np.zeros(1)) for cost in costs]
 
-    def driven(mean):
-        return Evaluation((point,), generator.normal(mean, 1e-3, (1, 32)), np.zeros(1))
 
-    costs = {"agent": 0.4, "analytic_optimum": 1.0, "optimal_feedback": 0.2}
-    rows = make_rows(TASK, {name: driven(mean) for name, mean in costs.items()})
-    assert [row.gap_closed for row in rows] == pytest.approx([0.75, 0.0, 1.0], abs=0.01)
-    costs["optimal_feedback"] = 0.99  # nothing to be gained
-    rows = make_rows(TASK, {name: driven(mean) for name, mean in costs.items()})
+def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
+    rivals = {"analytic_optimum": driven(1.0)[0], "optimal_feedback": driven(0.2)[0]}
+    rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
+    assert references == ("optimal_feedback",)
+    assert [row.gap_closed.value for row in rows] == pytest.approx([0.75, 0.0, 1.0])
+    # the noise is common, so it cancels in the ratio, though not in the cost
+    assert rows[0].gap_closed.high - rows[0].gap_closed.low < 1e-12
+    assert rows[0].standard_error > 1e-3
+    better, _ = make_rows(TASK, {"agent": driven(0.1)}, rivals)
+    assert better[0].gap_closed.value == pytest.approx(1.125)  # over 100 %
+    rivals["optimal_feedback"] = driven(0.99)[0]  # nothing to be gained
+    rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
     assert [row.gap_closed for row in rows] == [None] * 3
-    text = table(Comparison(rows, TASK, {}))
-    assert "gap closed" in text
+    text = table(Comparison(rows, TASK, {"agent": [None]}, references, {}))
     assert "n/a" in text
+
+
+def test_best_known_feedback_without_the_optimal_one_is_the_best_classical():
+    rivals = {"analytic_optimum": driven(1.0)[0], "skyhook": driven(0.6)[0], "add": driven(0.5)[0], "d_min": driven(0.1)[0]}
+    rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
+    assert references == ("add",)  # a constant damping is no feedback
+    assert rows[0].gap_closed.value == pytest.approx(1.2)
+
+
+def test_interval_holds_the_spread_of_training_seeds():
+    rivals = {"analytic_optimum": driven(1.0)[0], "optimal_feedback": driven(0.2)[0]}
+    rows, _ = make_rows(TASK, {"agent": driven(0.3, 0.4, 0.5)}, rivals)
+    gap = rows[0].gap_closed
+    # Student's law with two degrees of freedom: 4.303 standard errors of shares that spread by 0.125
+    assert gap.value == pytest.approx(0.75)
+    assert gap.high - gap.value == pytest.approx(4.3027 * 0.125 / np.sqrt(3), rel=1e-3)
+
+
+@pytest.mark.statistical
+def test_interval_of_a_ratio_covers_the_truth():
+    generator = np.random.default_rng(7)
+    covered = 0
+    for _ in range(400):
+        road = generator.normal(1, 0.2, 64)
+        share = ratio((0.3 * road + generator.normal(0, 0.1, 64))[None], road)
+        covered += share.low < 0.3 < share.high
+    # 95 % of 400, within four standard errors of 1.1 %
+    assert abs(covered / 400 - 0.95) < 4 * 0.011
