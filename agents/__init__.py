@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .training import Agent as Agent
     from .training import load as load
     from .training import train as train
+    from .tuning import tune as tune
 
 _HOME = {
     "CONTROLLERS": "controllers",
@@ -30,6 +31,7 @@ _HOME = {
     "load": "training",
     "make_controller": "controllers",
     "train": "training",
+    "tune": "tuning",
 }
 __all__ = sorted(_HOME)
 

@@ -1,12 +1,14 @@
-"""The command line: ``roadgym train``, ``evaluate``, ``compare``, ``certify``, ``benchmark``, ``figures`` and ``errata``.
+"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``drive``, ``certify``, ``benchmark``, ``figures``,
+``explore`` and ``errata``.
 
-Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument or an unusable folder (one line says which),
-130 interrupted.
+Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument, an unusable file or a missing package (one line says
+which), 130 interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 from collections.abc import Sequence
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from roadgym import ROADS, SPEED_NOISES, ParameterError, __version__
+from roadgym.kernel import SIGNALS
 
 from .errors import AgentError
 
@@ -28,7 +31,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        remedies = {"train": "; --resume goes on from the last checkpoint", "compare": "; the same command resumes its agent"}
+        remedies = {
+            "train": "; --resume goes on from the last checkpoint",
+            "compare": "; the same command resumes its agent",
+            "tune": "; the same command goes on with the study",
+        }
         remedy = remedies.get(chosen.command, "")
         print(f"roadgym {chosen.command}: interrupted{remedy}", file=sys.stderr)
         return 130
@@ -40,7 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def make_parser() -> argparse.ArgumentParser:
     """All commands and their options."""
     parser = argparse.ArgumentParser(
-        prog="roadgym", description="Learn to damp a car on a random road, and know how far from the exact optimum you are."
+        prog="roadgym",
+        description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
+        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, an unusable file or a missing "
+        "package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none with NO_COLOR.",
     )
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -51,6 +61,19 @@ def make_parser() -> argparse.ArgumentParser:
     train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
     _add_training(train)
     _add_environment(train)
+
+    tune = _command(
+        commands,
+        "tune",
+        run_tune,
+        "search for hyperparameters; the same command goes on with a study that was interrupted",
+        "roadgym tune --algorithm ppo --storage study.db --output best.yaml",
+    )
+    tune.add_argument("--storage", required=True, metavar="FILE", help="SQLite file of the study")
+    tune.add_argument("--trials", type=int, default=20, help="trials in all, those in the file included (%(default)s)")
+    tune.add_argument("--output", metavar="FILE", help="write the best as YAML that train --hyperparameters takes")
+    _add_training(tune)
+    _add_environment(tune)
 
     evaluate = _command(
         commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/ppo"
@@ -70,12 +93,40 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym compare --output results",
     )
     compare.add_argument("--output", default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)")
-    compare.add_argument("--agent", metavar="DIR", help="folder of a trained agent, instead of training one")
+    compare.add_argument(
+        "--agent",
+        nargs="+",
+        metavar="DIR",
+        help="folders of trained agents, instead of training; those that differ in the seed alone are one learned controller",
+    )
+    compare.add_argument(
+        "--seeds", type=int, default=1, help="agents to train, each of another seed from --seed on (%(default)s)"
+    )
     compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
     compare.add_argument("--controllers", nargs="+", metavar="NAME", help="classical controllers to compare with")
     _add_training(compare)
     _add_evaluation(compare)
     _add_environment(compare)
+
+    drive = _command(
+        commands,
+        "drive",
+        run_drive,
+        "watch a controller drive, in a window or as a film, alone or beside another one over the very same road",
+        "roadgym drive --controller skyhook --road multiplicative",
+    )
+    who = drive.add_mutually_exclusive_group(required=True)
+    who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
+    drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
+    drive.add_argument("--output", metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window")
+    drive.add_argument(
+        "--seconds", type=float, metavar="S", help="of film, each of 60 control intervals (10; a window until it is closed)"
+    )
+    drive.add_argument("--speed", type=float, metavar="V", help="speed, m/s (drawn from the environment's range)")
+    drive.add_argument("--bandwidth", type=float, metavar="DELTA", help="road bandwidth (drawn from the environment's range)")
+    drive.add_argument("--seed", type=int, default=0, help="seed of the road (%(default)s)")
+    _add_environment(drive)
 
     certify = _command(
         commands,
@@ -102,6 +153,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
     benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
+    benchmark.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     benchmark.add_argument("--output", metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it")
 
     figures = _command(
@@ -111,10 +163,31 @@ def make_parser() -> argparse.ArgumentParser:
     figures.add_argument("--only", type=int, nargs="+", metavar="N", help="figures to draw (2 to 14)")
     figures.add_argument("--full", action="store_true", help="simulate Fig. 7 with all the paper's samples (half a minute)")
 
+    explore = _command(
+        commands,
+        "explore",
+        run_explore,
+        "write one page of HTML that shows mean squares, optimum, amplitudes and road laws, live",
+        "roadgym explore --output explorer.html",
+    )
+    explore.add_argument("--output", required=True, metavar="FILE", help="the page")
+    explore.add_argument("--road", default="multiplicative", help=f"{', '.join(ROADS)} (%(default)s)")
+    explore.add_argument("--speed-noise", default="none", help=f"none, {', '.join(SPEED_NOISES)} (%(default)s)")
+    explore.add_argument(
+        "--value",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "NUMBER"),
+        help="first damping, frequency_ratio, bandwidth, shape, intensity, corner_frequency, damping_min, damping_max",
+    )
+    explore.add_argument("--weights", type=_weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
+
     errata = _command(
         commands, "errata", run_errata, "simulate what the paper has wrong, with both formulas", "roadgym errata --only forcing"
     )
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
+    errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return parser
 
 
@@ -126,12 +199,23 @@ def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> 
 
 def _add_training(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("training")
-    group.add_argument("--algorithm", default="ppo", help="learning algorithm (%(default)s)")
-    group.add_argument("--hyperparameters", metavar="FILE", help="YAML file of hyperparameters")
+    group.add_argument(
+        "--algorithm",
+        default="ppo",
+        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs roadgym[recurrent] (%(default)s)",
+    )
+    group.add_argument(
+        "--hyperparameters",
+        metavar="FILE",
+        help="YAML file of hyperparameters, or the name of a shipped one: ppo_stacked, ppo_scheduling (the algorithm's own)",
+    )
     group.add_argument(
         "--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps"
     )
-    group.add_argument("--checkpoint-interval", type=int, default=100_000, help="timesteps between checkpoints (%(default)s)")
+    if parser.get_default("run") is not run_tune:
+        group.add_argument(
+            "--checkpoint-interval", type=int, default=100_000, help="timesteps between checkpoints (%(default)s)"
+        )
     group.add_argument("--seed", type=int, default=0, help="seed of training and of the evaluation's roads (%(default)s)")
 
 
@@ -154,6 +238,15 @@ def _add_environment(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--bandwidth-range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of bandwidths (0.05 0.5)")
     group.add_argument("--damping-range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the action (0.05 1)")
     group.add_argument("--weights", type=_weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
+    group.add_argument(
+        "--observation",
+        nargs="*",
+        metavar="NAME",
+        help=f"signals to observe, of {', '.join(SIGNALS)}; with no name, the operating point (speed, bandwidth) alone",
+    )
+    group.add_argument(
+        "--hide-operating-point", action="store_true", default=None, help="do not observe speed and bandwidth unless named"
+    )
     group.add_argument("--control-interval", type=float, metavar="S", help="time between actions, s (0.2/natural frequency)")
     group.add_argument("--natural-frequency", type=float, metavar="W1", help="natural frequency of the car, rad/s (1)")
 
@@ -192,6 +285,8 @@ def environment_from(chosen: argparse.Namespace) -> dict[str, Any]:
         "bandwidth": chosen.bandwidth_range,
         "damping_range": chosen.damping_range,
         "reward": chosen.weights,
+        "observation": chosen.observation,
+        "observe_operating_point": None if chosen.hide_operating_point is None else False,
         "control_interval": chosen.control_interval,
         "natural_frequency": chosen.natural_frequency,
     }
@@ -213,11 +308,12 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     from roadgym.parameters import whole
     from roadgym.task import make_task
 
+    from .comparison import observed_in_full
     from .controllers import make_controller
     from .evaluation import FEWEST_EPISODES, make_points
 
     grid = _grid(chosen)
-    task = make_task(**environment)
+    task = make_task(**observed_in_full(environment))
     make_points(task, grid["speeds"], grid["bandwidths"])
     for name in getattr(chosen, "controllers", None) or ():
         make_controller(name, task)
@@ -225,7 +321,7 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     whole("seed", chosen.seed, low=0)
 
 
-def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, resume: bool) -> Any:
+def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
     from .progress import training_progress
     from .training import load_hyperparameters, train
 
@@ -235,7 +331,7 @@ def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]
             algorithm=chosen.algorithm,
             environment=environment,
             hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
-            seed=chosen.seed,
+            seed=seed,
             timesteps=chosen.timesteps,
             checkpoint_interval=chosen.checkpoint_interval,
             resume=resume,
@@ -247,15 +343,40 @@ def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]
 def run_train(chosen: argparse.Namespace) -> None:
     """``roadgym train``."""
     folder = Path(chosen.output)
-    agent = _train(chosen, folder, None if chosen.resume else environment_from(chosen), resume=chosen.resume)
+    agent = _train(chosen, folder, None if chosen.resume else environment_from(chosen), seed=chosen.seed, resume=chosen.resume)
     print(f"trained for {agent.description['timesteps']} steps: {folder}")
+
+
+def run_tune(chosen: argparse.Namespace) -> None:
+    """``roadgym tune``."""
+    from .progress import tuning_progress
+    from .training import load_hyperparameters
+    from .tuning import tune, write_best
+
+    with tuning_progress() as report:
+        best = tune(
+            chosen.storage,
+            algorithm=chosen.algorithm,
+            trials=chosen.trials,
+            timesteps=chosen.timesteps,
+            environment=environment_from(chosen),
+            hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
+            seed=chosen.seed,
+            report=report,
+        )
+    print(f"best of {best.trials} trials: trial {best.number}, {best.value:.4f} of the best constant damping's costs")
+    for name, value in best.hyperparameters.items():
+        print(f"  {name}: {value}")
+    if chosen.output:
+        write_best(best, chosen.output, " ".join(["roadgym", *sys.argv[1:]]))
+        print(f"wrote {chosen.output}", file=sys.stderr)
 
 
 def run_evaluate(chosen: argparse.Namespace) -> None:
     """``roadgym evaluate``."""
     from roadgym.task import make_task
 
-    from .comparison import with_error
+    from .comparison import observed_in_full, with_error
     from .controllers import make_controller
     from .evaluation import Predictor, evaluate
     from .progress import evaluation_progress
@@ -269,7 +390,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
     else:
         environment = environment_from(chosen)
         name = chosen.controller
-        controller = make_controller(name, make_task(**environment))
+        controller = make_controller(name, make_task(**observed_in_full(environment)))
     _check_evaluation(chosen, environment)
     with evaluation_progress() as report:
         result = evaluate(
@@ -301,36 +422,76 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
 
 def run_compare(chosen: argparse.Namespace) -> None:
     """``roadgym compare``."""
-    from .comparison import RIVALS, compare, table, write
-    from .progress import evaluation_progress
+    from roadgym.parameters import whole
+
+    from .comparison import AGENT, compare, group_agents, table, write
+    from .progress import evaluation_progress, work_progress
     from .training import load, make_folder
 
     if chosen.agent:
-        agent = load(chosen.agent)
         _refuse_environment(chosen)
-        environment = agent.description["environment"]
+        learned, environment = group_agents({folder: load(folder) for folder in chosen.agent})
         _check_evaluation(chosen, environment)
         folder = make_folder(chosen.output)
     else:
         environment = environment_from(chosen)
         _check_evaluation(chosen, environment)
+        seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         folder = make_folder(chosen.output)
-        agent = _train(chosen, folder / "agent", environment, resume=_same_agent(chosen, folder / "agent", environment))
+        learned = {AGENT: []}
+        for seed in seeds:
+            place = folder / f"agent-{seed}"
+            same = _same_agent(chosen, place, environment, seed)
+            learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=same))
     with evaluation_progress() as report:
         comparison = compare(
-            agent,
+            learned,
             environment=environment,
             episodes=chosen.episodes,
             seed=chosen.seed,
             report=report,
-            description=agent.description,
-            controllers=chosen.controllers or RIVALS,
+            controllers=chosen.controllers,
             **_grid(chosen),
         )
-    files = write(comparison, folder, agent)
+    with work_progress() as report_work:
+        files = write(comparison, folder, report_work)
     print(comparison.to_json() if chosen.json else table(comparison))
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
+
+
+def run_drive(chosen: argparse.Namespace) -> None:
+    """``roadgym drive``."""
+    from roadgym.task import make_task
+
+    from .driving import check_output, drive, find_rival, make_driver
+    from .progress import work_progress
+    from .training import load
+
+    if chosen.output:
+        check_output(chosen.output)
+    found = [(chosen.agent or chosen.controller, load(chosen.agent) if chosen.agent else None)]
+    if chosen.versus:
+        found.append((chosen.versus, find_rival(chosen.versus)))
+    agents = [agent for _, agent in found if agent]
+    if agents:
+        _refuse_environment(chosen)
+    environment = agents[0].description["environment"] if agents else environment_from(chosen)
+    task = make_task(**environment)
+    drivers = [(name, make_driver(name, agent, task)) for name, agent in found]
+    with work_progress() as report:
+        drive(
+            drivers,
+            environment=environment,
+            output=chosen.output,
+            seconds=chosen.seconds,
+            speed=chosen.speed,
+            bandwidth=chosen.bandwidth,
+            seed=chosen.seed,
+            report=report,
+        )
+    if chosen.output:
+        print(chosen.output)
 
 
 def run_certify(chosen: argparse.Namespace) -> int:
@@ -356,8 +517,6 @@ def run_certify(chosen: argparse.Namespace) -> int:
 
 def run_benchmark(chosen: argparse.Namespace) -> None:
     """``roadgym benchmark``."""
-    import dataclasses
-
     from .benchmark import CASES, draw_scaling, scaling, scaling_table, table
     from .training import versions, write_atomically
 
@@ -369,12 +528,13 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
     for name in names:
         print(f"measuring {name}", file=sys.stderr, flush=True)
         results.append(CASES[name]())
-    print(table(results))
     rows = scaling() if chosen.scaling else []
-    if rows:
-        print("\n" + scaling_table(rows))
+    content = {"results": [dataclasses.asdict(r) for r in results], "scaling": rows, "versions": versions()}
+    if chosen.json:
+        print(json.dumps(content, indent=2))
+    else:
+        print("\n\n".join([table(results), *([scaling_table(rows)] if rows else [])]))
     if chosen.output:
-        content = {"results": [dataclasses.asdict(r) for r in results], "scaling": rows, "versions": versions()}
         path = Path(chosen.output)
         write_atomically(path, json.dumps(content, indent=2) + "\n")
         if rows:
@@ -393,6 +553,14 @@ def run_figures(chosen: argparse.Namespace) -> None:
         print(file)
 
 
+def run_explore(chosen: argparse.Namespace) -> None:
+    """``roadgym explore``."""
+    from analysis import explorer
+
+    view = {"road": chosen.road, "speed_noise": chosen.speed_noise, **dict(chosen.value)}
+    print(explorer.write(chosen.output, view | ({"weights": chosen.weights} if chosen.weights else {})))
+
+
 def run_errata(chosen: argparse.Namespace) -> None:
     """``roadgym errata``."""
     from analysis import errata
@@ -401,10 +569,10 @@ def run_errata(chosen: argparse.Namespace) -> None:
 
     with work_progress() as report:
         checks = errata.run(chosen.only, report=report)
-    print(errata.table(checks))
+    print(json.dumps([dataclasses.asdict(check) for check in checks], indent=2) if chosen.json else errata.table(checks))
 
 
-def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]) -> bool:
+def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any], seed: int) -> bool:
     """Does the folder hold an agent that this very command began? Then it is resumed; any other is an error of training."""
     from .training import DESCRIPTION, load, load_hyperparameters, plain
 
@@ -415,7 +583,7 @@ def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str,
         "algorithm": chosen.algorithm,
         "environment": plain(environment),
         "hyperparameters": plain(load_hyperparameters(chosen.algorithm, chosen.hyperparameters)),
-        "seed": chosen.seed,
+        "seed": seed,
     }
     return all(known.get(name) == value for name, value in asked.items())
 
@@ -423,7 +591,7 @@ def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str,
 def _refuse_environment(chosen: argparse.Namespace) -> None:
     """With an agent the environment is given."""
     options = ("road", "speed_noise", "speed_range", "bandwidth_range", "damping_range", "weights")
-    for name in (*options, "control_interval", "natural_frequency"):
+    for name in (*options, "observation", "hide_operating_point", "control_interval", "natural_frequency"):
         if getattr(chosen, name) is not None:
             raise ParameterError(f"--{name.replace('_', '-')} cannot be given with --agent: the agent's environment holds")
 

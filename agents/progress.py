@@ -49,6 +49,17 @@ def training_progress() -> Iterator[Callable[[int, int, float | None], None]]:
 
 
 @contextlib.contextmanager
+def tuning_progress() -> Iterator[Callable[[int, int, int, float | None], None]]:
+    """A report for `agents.tuning.tune`."""
+    with _bar() as tell:
+
+        def report(trial: int, done: int, total: int, best: float | None) -> None:
+            tell(f"trial {trial}", done, total, "" if best is None else f"best {best:.4f}")
+
+        yield report
+
+
+@contextlib.contextmanager
 def evaluation_progress() -> Iterator[Callable[[str, int, int], None]]:
     """A report for `agents.evaluate`."""
     with _bar() as tell:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import importlib
 import importlib.metadata
 import json
 import platform
@@ -23,23 +24,44 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import stable_baselines3
 import torch
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
 import roadgym
-from roadgym.parameters import ParameterError, whole
+from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
+from .advantage import has_advantage
+from .advantage_reward import AdvantageReward
 from .errors import AgentError
-from .features import Features
-from .vec_env import QuarterCarVecEnv, damping_from_action, observation_space
+from .vec_env import QuarterCarVecEnv, Sight, damping_from_action
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": stable_baselines3.PPO}
+ALGORITHMS = {
+    "ppo": "stable_baselines3.PPO",
+    "sac": "stable_baselines3.SAC",
+    "td3": "stable_baselines3.TD3",
+    "a2c": "stable_baselines3.A2C",
+    "dqn": "stable_baselines3.DQN",
+    "recurrent_ppo": "sb3_contrib.RecurrentPPO",
+}
+OWN_HYPERPARAMETERS = (  # all others go to the algorithm
+    "n_envs",
+    "n_timesteps",
+    "normalize",
+    "features",
+    "frame_stack",
+    "damping_levels",
+    "policy",
+    "policy_kwargs",
+    "noise_std",
+    "training_reward",
+)
 FORMAT = 1
 DESCRIPTION = "agent.json"
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
@@ -92,23 +114,49 @@ def plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
+    """The class of ``algorithm``, a key of `ALGORITHMS`.
+
+    Raises:
+        ParameterError: an unknown algorithm.
+        AgentError: its package is not installed.
+    """
+    if algorithm not in ALGORITHMS:
+        raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
+    module, _, name = ALGORITHMS[algorithm].partition(".")
+    try:
+        found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError:
+        raise AgentError(f"{algorithm} needs the package {module}: pip install 'roadgym[recurrent]'") from None
+    return found
+
+
 def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict[str, Any]:
-    """Hyperparameters of ``algorithm`` for this environment, from its own YAML file or from ``file``.
+    """Hyperparameters of ``algorithm`` for this environment.
+
+    Args:
+        algorithm: a key of `ALGORITHMS`.
+        file: a YAML file, or the name of one of those in `HYPERPARAMETERS`, such as "ppo_stacked"; by default the algorithm's.
 
     Raises:
         ParameterError: an unknown algorithm, or a file that holds no hyperparameters for this environment.
     """
     if algorithm not in ALGORITHMS:
         raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
-    path = HYPERPARAMETERS / f"{algorithm}.yaml" if file is None else Path(file)
+    chosen = algorithm if file is None else file
+    shipped = [path.stem for path in sorted(HYPERPARAMETERS.glob("*.yaml"))]
+    path = HYPERPARAMETERS / f"{chosen}.yaml" if str(chosen) in shipped else Path(chosen)
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ParameterError(f"cannot read hyperparameters from {str(path)!r}: {' '.join(str(error).split())}") from None
-    chosen = content.get(roadgym.ENVIRONMENT_ID) if isinstance(content, dict) else None
-    if not isinstance(chosen, dict):
+        reason = " ".join(str(error).split())
+        raise ParameterError(
+            f"cannot read hyperparameters from {str(path)!r}: {reason}; by name there are: {', '.join(shipped)}"
+        ) from None
+    found = content.get(roadgym.ENVIRONMENT_ID) if isinstance(content, dict) else None
+    if not isinstance(found, dict):
         raise ParameterError(f"{str(path)!r} holds no hyperparameters for {roadgym.ENVIRONMENT_ID}")
-    return chosen
+    return found
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -125,20 +173,21 @@ def make_model(
     algorithm: str, hyperparameters: Mapping[str, Any], environment: Mapping[str, Any], seed: int, log: Path | None
 ) -> BaseAlgorithm:
     """A new model on its own environments."""
-    parameters = dict(hyperparameters)
-    envs = make_envs(parameters, environment)
-    for name in ("n_envs", "n_timesteps", "normalize", "features"):
-        parameters.pop(name, None)
-    policy = parameters.pop("policy", "MlpPolicy")
-    network = dict(parameters.pop("policy_kwargs", {}))
+    kind = algorithm_class(algorithm)
+    envs = make_envs(hyperparameters, environment)
+    policy = hyperparameters.get("policy", "MlpPolicy")
+    network = dict(hyperparameters.get("policy_kwargs", {}))
     if isinstance(network.get("activation_fn"), str):
         activation = getattr(torch.nn, network["activation_fn"], None)
         if activation is None:
             raise ParameterError(f"unknown activation_fn {network['activation_fn']!r}; it must be a class of torch.nn")
         network["activation_fn"] = activation
-    parameters = {name: _schedule(name, value) for name, value in parameters.items()}
+    parameters = {name: _schedule(name, value) for name, value in hyperparameters.items() if name not in OWN_HYPERPARAMETERS}
+    if "noise_std" in hyperparameters:
+        spread = non_negative("noise_std", hyperparameters["noise_std"])
+        parameters["action_noise"] = NormalActionNoise(np.zeros(1), np.full(1, spread))
     try:
-        model = ALGORITHMS[algorithm](
+        model = kind(
             policy,
             envs,
             policy_kwargs=network,
@@ -147,8 +196,8 @@ def make_model(
             tensorboard_log=None if log is None else str(log),
             **parameters,
         )
-    except TypeError as error:
-        raise ParameterError(f"hyperparameters of {algorithm}: {error}") from None
+    except (TypeError, ValueError, AssertionError) as error:
+        raise ParameterError(f"hyperparameters of {algorithm}: {' '.join(str(error).split())}") from None
     envs.seed(training_seed(seed, 0))
     return model
 
@@ -163,11 +212,28 @@ def stream_seed(*entropy: int) -> int:
     return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
+def training_reward(hyperparameters: Mapping[str, Any], task: Task) -> str:
+    """What is learned from: "cost", or "advantage" where the hyperparameters ask for it and theory knows it on this plant.
+
+    Raises:
+        ParameterError: hyperparameters that ask for something else.
+    """
+    chosen = hyperparameters.get("training_reward", "cost")
+    if chosen not in ("cost", "advantage"):
+        raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
+    return chosen if has_advantage(task) else "cost"
+
+
 def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]) -> VecNormalize:
     """The training environments, with rewards scaled by their running spread if the hyperparameters ask for it."""
-    envs = QuarterCarVecEnv(
-        whole("n_envs", hyperparameters.get("n_envs", 1)), environment=environment, features=hyperparameters.get("features")
+    batch = QuarterCarVecEnv(
+        whole("n_envs", hyperparameters.get("n_envs", 1)),
+        environment=environment,
+        features=hyperparameters.get("features"),
+        frame_stack=hyperparameters.get("frame_stack", 1),
+        damping_levels=hyperparameters.get("damping_levels"),
     )
+    envs = AdvantageReward(batch) if training_reward(hyperparameters, batch.task) == "advantage" else batch
     options = dict(hyperparameters.get("normalize", {}))
     if options.pop("norm_obs", False):
         raise ParameterError("norm_obs must be false: the environment scales its observations")
@@ -193,8 +259,9 @@ class Agent:
         self.model = model
         self.description = description
         self.task = task
-        kinds = description["hyperparameters"].get("features")
-        self.features = None if kinds is None else Features(task.signals, kinds)
+        hyperparameters = description["hyperparameters"]
+        self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
+        self.damping_levels = hyperparameters.get("damping_levels")
 
     def predict(
         self,
@@ -203,12 +270,18 @@ class Agent:
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """(D, state), D of shape (n, 1) for observations of shape (n, signals), or (1,) for one of shape (signals,)."""
-        seen = observation
-        if self.features is not None:
-            seen = self.features(np.atleast_2d(observation)).reshape((*observation.shape[:-1], -1))
-        action, state = self.model.predict(seen, state, episode_start, deterministic)
-        return damping_from_action(action, self.task.damping_range), state
+        """(D, state), D of shape (n, 1) for observations of shape (n, signals), or (1,) for one of shape (signals,).
+
+        The state is what the agent remembers: the observations that it stacks and the state of a recurrent network; None for
+        an agent that does neither. Hand it back with the next observations; rows where ``episode_start`` is true forget.
+        """
+        rows = np.atleast_2d(observation)
+        frames, memory = (None, None) if state is None else state
+        frames = self.sight.stack(frames, rows, episode_start)
+        action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
+        damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
+        remembered = None if frames is None and memory is None else (frames, memory)
+        return damping.reshape((*observation.shape[:-1], 1)), remembered
 
 
 def load(folder: str | Path) -> Agent:
@@ -221,11 +294,11 @@ def load(folder: str | Path) -> Agent:
     description = _read_description(path)
     try:
         task = make_task(**description["environment"])
-        model = ALGORITHMS[description["algorithm"]].load(path / description["model"], device="cpu")
+        model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")
         agent = Agent(model, description, task)
-        expected = observation_space(task.observation_space, agent.features).shape
-        if model.observation_space.shape != expected:
-            raise AgentError(f"its model sees {model.observation_space.shape}, its environment offers {expected}")
+        seen, offered = model.observation_space.shape, agent.sight.space.shape
+        if seen != offered:
+            raise AgentError(f"its model sees {seen}, its environment offers {offered}")
     except Exception as error:  # unpickling damaged files can raise anything
         raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
     return agent
@@ -317,7 +390,8 @@ def train(
         timesteps: control intervals to train for in all, over every environment; by default the hyperparameters' n_timesteps.
         checkpoint_interval: timesteps between checkpoints.
         resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold. The noise of the
-            second part is new, so the result differs from that of one unbroken run, but repeats.
+            second part is new, so the result differs from that of one unbroken run, but repeats. A replay buffer is not
+            saved: an off-policy algorithm fills it anew, for learning_starts timesteps of random damping, before it learns on.
         tensorboard: write logs for TensorBoard under ``folder``.
         report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``.
 
@@ -343,12 +417,14 @@ def train(
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": plain(hyperparameters),
+            "training_reward": training_reward(hyperparameters, make_task(**environment)),
             "seed": seed,
             "versions": versions(),
             "command": " ".join(sys.argv),
         }
     total = whole("timesteps", int(hyperparameters.get("n_timesteps", 0)) if timesteps is None else timesteps)
     task = make_task(**environment)
+    algorithm_class(algorithm)  # a missing package is told before the folder is there
     path = make_folder(path)
     log = path / "tensorboard" if tensorboard else None
 
@@ -357,11 +433,13 @@ def train(
         envs = make_envs(hyperparameters, environment)
         for key, value in (description["reward_statistics"] or {}).items():
             setattr(envs.ret_rms, key, value)
-        model = ALGORITHMS[algorithm].load(
+        model = algorithm_class(algorithm).load(
             path / description["model"], env=envs, device="cpu", tensorboard_log=None if log is None else str(log)
         )
+        if isinstance(model, OffPolicyAlgorithm):  # its replay buffer is empty
+            model.learning_starts = model.num_timesteps + hyperparameters.get("learning_starts", 100)
+        model.set_random_seed(training_seed(seed, model.num_timesteps) % 2**32)
         envs.seed(training_seed(seed, model.num_timesteps))
-        torch.manual_seed(training_seed(seed, model.num_timesteps))
     else:
         model = make_model(algorithm, hyperparameters, environment, seed, log)
     remaining = total - model.num_timesteps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -12,27 +13,92 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
+from roadgym.parameters import ParameterError, whole
+from roadgym.task import OPERATING_POINT, Task
 from roadgym.vector import QuarterCarVectorEnv
 
 from .features import Features
 
+Rows = npt.NDArray[np.float32]
 
-def damping_from_action(action: npt.NDArray[Any], damping_range: tuple[float, float]) -> npt.NDArray[np.float32]:
-    """The damping ratio D for an action in [-1, 1], by the affine map onto ``damping_range``."""
+
+def action_space(levels: int | None) -> spaces.Box | spaces.Discrete:
+    """What a policy answers with: a number in [-1, 1], or one of ``levels``."""
+    return spaces.Box(-1.0, 1.0, (1,), np.float32) if levels is None else spaces.Discrete(levels)
+
+
+def damping_from_action(
+    action: npt.NDArray[Any], damping_range: tuple[float, float], levels: int | None = None
+) -> npt.NDArray[np.float32]:
+    """The damping ratio D, shape (n, 1), by the affine map of [-1, 1] onto ``damping_range``.
+
+    Args:
+        action: in [-1, 1], shape (n, 1); with ``levels``, one of 0, ..., levels - 1, shape (n,), spread equally over [-1, 1].
+        damping_range: the softest and the firmest damping, 1.
+        levels: number of levels of a discrete action.
+    """
     low, high = damping_range
-    return np.asarray(low + (np.asarray(action, np.float32) + 1) * (0.5 * (high - low)), np.float32)
+    values = np.asarray(action, np.float32)
+    if levels is not None:
+        values = values[:, None] * np.float32(2 / (levels - 1)) - 1
+    return np.asarray(low + (values + 1) * (0.5 * (high - low)), np.float32)
 
 
-def observation_space(signals: spaces.Box, features: Features | None) -> spaces.Box:
-    """The space of what a policy sees."""
-    if features is None:
-        return signals
-    largest = np.float32(np.abs(signals.high).max() * np.sqrt(signals.shape[0]))
-    return spaces.Box(-largest, largest, (features.size,), np.float32)
+class Sight:
+    """What a policy sees of a task: the last observations, and features of them.
+
+    A stack of k observations begins with the newest one; of the k - 1 older ones, newest first, it holds all signals but the
+    operating point, which does not change in an episode. At the start of an episode, the first observation stands for those
+    before it. Features are those of the whole stack: products pair signals of different times too, so that a policy can weigh
+    products of whatever it filters from the past.
+
+    Args:
+        task: the task that is observed.
+        features: kinds of `agents.features.FEATURES`; None for the observations as they are.
+        frame_stack: number of observations that are seen together.
+
+    Attributes:
+        space: the space of what is seen.
+
+    Raises:
+        ParameterError: an unknown kind of feature, or features that show nothing of the task.
+    """
+
+    def __init__(self, task: Task, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
+        self.frame_stack = whole("frame_stack", frame_stack)
+        self._moving = [i for i, name in enumerate(task.signals) if name not in OPERATING_POINT]
+        older = tuple(task.signals[i] for i in self._moving) * (self.frame_stack - 1)
+        stacked = dataclasses.replace(task, signals=task.signals + older)
+        self._width, self._kept = len(task.signals), len(stacked.signals) - len(self._moving)
+        self._features = None if features is None else Features(stacked, features)
+        self.space = stacked.observation_space
+        if self._features is not None:
+            if self._features.size == 0:
+                raise ParameterError(f"features must leave something to see of {', '.join(task.signals)}, got {features!r}")
+            self.space = spaces.Box(-np.inf, np.inf, (self._features.size,), np.float32)
+
+    def stack(self, frames: Rows | None, observations: Rows, starts: npt.NDArray[np.bool_] | None) -> Rows | None:
+        """The stack, shape (n, width), with new observations, shape (n, signals), on top; None where only one is seen.
+
+        ``frames`` is the stack before, None for none yet; ``starts`` tells the rows, shape (n,), whose episode begins.
+        """
+        if self.frame_stack == 1:
+            return None
+        fresh = np.concatenate([observations, np.tile(observations[:, self._moving], self.frame_stack - 1)], axis=1)
+        if frames is None:
+            return fresh
+        moved = [observations, frames[:, self._moving], frames[:, self._width : self._kept]]
+        stacked = np.concatenate(moved, axis=1)
+        return stacked if starts is None else np.where(np.asarray(starts)[:, None], fresh, stacked)
+
+    def __call__(self, observations: Rows, frames: Rows | None) -> Rows:
+        """What the policy sees of new observations and the stack that they are on top of, shape (n, size)."""
+        seen = observations if frames is None else frames
+        return seen if self._features is None else self._features(seen)
 
 
 class QuarterCarVecEnv(VecEnv):
-    """``num_envs`` quarter cars for stable-baselines3; actions in [-1, 1] are mapped onto the damping range.
+    """``num_envs`` quarter cars for stable-baselines3, with its actions (`damping_from_action`) and a policy's `Sight`.
 
     Infos hold what stable-baselines3 reads: "terminal_observation" and "TimeLimit.truncated" where an episode ended, and there
     "episode" with its return "r", length "l" and time "t", as its Monitor gives them.
@@ -41,7 +107,8 @@ class QuarterCarVecEnv(VecEnv):
         num_envs: number of environments.
         max_episode_steps: steps in an episode.
         environment: parameters of `roadgym.vector.QuarterCarVectorEnv`.
-        features: what the policy sees; None for the observations as they are, or kinds of `agents.features.FEATURES`.
+        features, frame_stack: what the policy sees; see `Sight`.
+        damping_levels: number of damping ratios to choose from, at equal distances over the range; by default all of it.
     """
 
     def __init__(
@@ -51,6 +118,8 @@ class QuarterCarVecEnv(VecEnv):
         max_episode_steps: int = 500,
         environment: Mapping[str, Any] | None = None,
         features: Sequence[str] | None = None,
+        frame_stack: int = 1,
+        damping_levels: int | None = None,
     ) -> None:
         self.envs = QuarterCarVectorEnv(
             num_envs,
@@ -60,34 +129,33 @@ class QuarterCarVecEnv(VecEnv):
         )
         self.task = self.envs.task
         self.render_mode = None
-        action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        self.features = None if features is None else Features(self.task.signals, features)
-        super().__init__(num_envs, observation_space(self.task.observation_space, self.features), action_space)
-        self._actions = np.zeros((num_envs, 1), np.float32)
+        self.sight = Sight(self.task, features, frame_stack)
+        self.damping_levels = None if damping_levels is None else whole("damping_levels", damping_levels, low=2)
+        super().__init__(num_envs, self.sight.space, action_space(self.damping_levels))
+        self._frames: Rows | None = None
+        self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         self._begin = time.monotonic()
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """First observations, shape (num_envs, signals); the seed of `seed` takes effect here."""
+        """What is seen first, shape (num_envs, size); the seed of `seed` takes effect here."""
         given = self._seeds if any(seed is not None for seed in self._seeds) else None
         observations, _ = self.envs.reset(seed=given)
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0
         self._lengths[:] = 0
-        return self._see(observations)
+        self._frames = self.sight.stack(None, observations, None)
+        return self.sight(observations, self._frames)
 
-    def _see(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        return observations if self.features is None else self.features(observations)
-
-    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
-        """Take the actions, shape (num_envs, 1), for `step_wait`."""
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Take the actions, shape (num_envs, 1), or (num_envs,) where they are levels, for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Drive one control interval."""
-        damping = damping_from_action(self._actions, self.task.damping_range)
+        damping = damping_from_action(self._actions, self.task.damping_range, self.damping_levels)
         observations, rewards, _, truncated, info = self.envs.step(damping)
         self._returns += rewards
         self._lengths += 1
@@ -95,7 +163,9 @@ class QuarterCarVecEnv(VecEnv):
         if truncated.any():
             elapsed = round(time.monotonic() - self._begin, 6)
             ended = np.flatnonzero(truncated)
-            final = self._see(np.stack(info["final_obs"][ended]))
+            last = np.stack(info["final_obs"][ended])
+            before = None if self._frames is None else self._frames[ended]
+            final = self.sight(last, self.sight.stack(before, last, None))
             for row, i in enumerate(ended):
                 infos[i] = {
                     "terminal_observation": final[row],
@@ -104,7 +174,8 @@ class QuarterCarVecEnv(VecEnv):
                 }
             self._returns[truncated] = 0
             self._lengths[truncated] = 0
-        return self._see(observations), np.asarray(rewards, np.float32), truncated, infos
+        self._frames = self.sight.stack(self._frames, observations, truncated)
+        return self.sight(observations, self._frames), np.asarray(rewards, np.float32), truncated, infos
 
     def close(self) -> None:
         """Nothing to release."""

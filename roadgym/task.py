@@ -124,6 +124,7 @@ class TaskParameters(TypedDict, total=False):
     damping_range: Sequence[float]
     reward: Mapping[str, float] | None
     observation: Sequence[str] | None
+    observe_operating_point: bool
     natural_frequency: float
     control_interval: float | None
     substeps: int | None
@@ -141,6 +142,7 @@ def make_task(
     damping_range: Sequence[float] = (0.05, 1.0),
     reward: Mapping[str, float] | None = None,
     observation: Sequence[str] | None = None,
+    observe_operating_point: bool = True,
     natural_frequency: float = 1.0,
     control_interval: float | None = None,
     substeps: int | None = None,
@@ -159,7 +161,9 @@ def make_task(
         damping_range: range (low, high) of the damping ratio, 0 < low < high.
         reward: weight of each mean square; {"displacement": 1.0} by default.
         observation: names of the observed signals; by default displacement, velocity, level and, where it exists, slope.
-            "speed" and, where it exists, "bandwidth" are always observed, and appended if they are not named.
+            An empty sequence leaves the operating point alone.
+        observe_operating_point: whether "speed" and, where it exists, "bandwidth" are appended to the observed signals where
+            they are not among them; if not, only what ``observation`` names is observed.
         natural_frequency: w1 of the car, rad/s.
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
@@ -197,7 +201,12 @@ def make_task(
             raise ParameterError(f"unknown signal {name!r} on this plant; known: {', '.join(observable)}")
         if names.count(name) > 1:
             raise ParameterError(f"observation names the signal {name!r} more than once")
-    names += [name for name in OPERATING_POINT if name in observable and name not in names]
+    if not isinstance(observe_operating_point, bool):
+        raise ParameterError(f"observe_operating_point must be true or false, got {observe_operating_point!r}")
+    if observe_operating_point:
+        names += [name for name in OPERATING_POINT if name in observable and name not in names]
+    if not names:
+        raise ParameterError(f"observation must name a signal where the operating point is not observed, got {observation!r}")
 
     w1 = car.natural_frequency
     interval = 0.2 / w1 if control_interval is None else positive("control_interval", control_interval)

@@ -1,7 +1,9 @@
 """Training, the agent's folder, and the stable-baselines3 adapter."""
 
 import json
+import re
 import shutil
+import sys
 
 import gymnasium
 import numpy as np
@@ -11,7 +13,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import agents
 import roadgym
-from agents.training import AgentError, load_hyperparameters, plain, training_seed
+from agents.cli import main
+from agents.features import FEATURES
+from agents.training import ALGORITHMS, HYPERPARAMETERS, AgentError, load_hyperparameters, make_model, plain, training_seed
 from agents.vec_env import QuarterCarVecEnv, damping_from_action
 from roadgym import ParameterError
 
@@ -38,6 +42,18 @@ def small_agent(folder, **options):
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("agent") / "ppo"
     return folder, small_agent(folder, seed=3, checkpoint_interval=100)
+
+
+def shrunken(name, algorithm=None):
+    """Shipped hyperparameters with few environments and steps, small batches and a small network."""
+    chosen = load_hyperparameters(algorithm or name, name)
+    small = {"buffer_size": 2000, "learning_starts": 100, "batch_size": 32, "n_steps": 8, "n_epochs": 1, "gradient_steps": 1}
+    network = chosen["policy_kwargs"] | {"net_arch": [8]}
+    if "lstm_hidden_size" in network:
+        network["lstm_hidden_size"] = 8
+    chosen |= {key: value for key, value in small.items() if key in chosen}
+    # the table of the feature lookahead takes seconds
+    return chosen | {"n_envs": 4, "n_timesteps": 512, "features": ["signals", "products"], "policy_kwargs": network}
 
 
 OBSERVATIONS = np.random.default_rng(2).uniform(0, 0.7, (11, 6)).astype(np.float32)
@@ -72,6 +88,113 @@ def test_seed_fixes_training(trained, tmp_path):
     assert not np.array_equal(other.predict(OBSERVATIONS)[0], agent.predict(OBSERVATIONS)[0])
     seeds = [training_seed(seed, 0) for seed in range(100)]
     assert np.min(np.diff(np.sort(seeds))) > 10**6  # batches of environments with neighbouring seeds do not overlap
+
+
+@pytest.fixture(scope="module", params=list(ALGORITHMS))
+def each(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("agent") / request.param
+    trained = agents.train(
+        folder, algorithm=request.param, environment=ENVIRONMENT, hyperparameters=shrunken(request.param), seed=3
+    )
+    return request.param, folder, trained
+
+
+def test_every_algorithm_trains_saves_and_loads(each):
+    algorithm, folder, trained = each
+    damping, _ = trained.predict(OBSERVATIONS)
+    assert damping.shape == (11, 1)
+    assert np.all((damping >= np.float32(0.05)) & (damping <= 1))
+    loaded = agents.load(folder)
+    np.testing.assert_array_equal(loaded.predict(OBSERVATIONS)[0], damping)
+    assert loaded.description["algorithm"] == algorithm
+    assert sorted(path.name for path in folder.iterdir()) == ["agent.json", "model-512.zip"]  # no replay buffer
+    assert (folder / "model-512.zip").stat().st_size < 200_000
+
+
+def parameters(agent):
+    return {name: value.numpy() for name, value in agent.model.policy.state_dict().items()}
+
+
+def test_every_algorithm_repeats_by_seed_and_resumes(each, tmp_path):
+    algorithm, folder, trained = each
+    again = agents.train(
+        tmp_path / "again", algorithm=algorithm, environment=ENVIRONMENT, hyperparameters=shrunken(algorithm), seed=3
+    )
+    expected = parameters(trained)
+    for name, value in parameters(again).items():
+        np.testing.assert_array_equal(value, expected[name])
+    shutil.copytree(folder, tmp_path / "copy")
+    longer = [agents.train(tmp_path / path, resume=True, timesteps=1024) for path in ("again", "copy")]
+    assert longer[0].description["timesteps"] == 1024
+    first, second = map(parameters, longer)
+    assert any(not np.array_equal(first[name], expected[name]) for name in expected)
+    for name, value in first.items():
+        np.testing.assert_array_equal(value, second[name])
+
+
+def test_resumed_replay_fills_before_it_is_learned_from(tmp_path):
+    hyperparameters = shrunken("sac") | {"learning_starts": 100}
+    trained = agents.train(tmp_path / "a", algorithm="sac", environment=ENVIRONMENT, hyperparameters=hyperparameters, seed=1)
+    filled = agents.train(tmp_path / "a", resume=True, timesteps=512 + 100)
+    learned = agents.train(tmp_path / "a", resume=True, timesteps=612 + 200)
+    first, second, third = map(parameters, (trained, filled, learned))
+    assert all(np.array_equal(first[name], second[name]) for name in first)
+    assert any(not np.array_equal(first[name], third[name]) for name in first)
+
+
+def test_rewards_are_scaled_alike_after_a_resume(tmp_path):
+    hyperparameters = shrunken("td3")
+    trained = agents.train(tmp_path / "a", algorithm="td3", environment=ENVIRONMENT, hyperparameters=hyperparameters, seed=1)
+    resumed = agents.train(tmp_path / "a", resume=True, timesteps=516)
+    before, after = (agent.description["reward_statistics"] for agent in (trained, resumed))
+    assert after["count"] == before["count"] + 4
+    assert after["var"] == pytest.approx(before["var"], rel=0.2)
+
+
+@pytest.mark.parametrize("levels", [2, 4])
+def test_discrete_damping_takes_its_levels_only(tmp_path, levels):
+    hyperparameters = shrunken("dqn") | {"damping_levels": levels}
+    agent = agents.train(tmp_path / "dqn", algorithm="dqn", environment=ENVIRONMENT, hyperparameters=hyperparameters)
+    allowed = np.linspace(0.05, 1, levels)
+    damping = agent.predict(np.random.default_rng(5).normal(0, 2, (500, 6)).astype(np.float32))[0]
+    assert np.abs(damping - allowed).min(axis=1).max() < 1e-6
+    one = agent.predict(OBSERVATIONS[0])[0]
+    assert one.shape == (1,)
+    assert np.abs(one - allowed).min() < 1e-6
+
+
+def test_discrete_actions_drive_like_the_damping_that_they_stand_for():
+    chosen, direct = (
+        QuarterCarVecEnv(3, environment=ENVIRONMENT, damping_levels=3),
+        QuarterCarVecEnv(3, environment=ENVIRONMENT),
+    )
+    assert chosen.action_space.n == 3
+    for envs in (chosen, direct):
+        envs.seed(4)
+        envs.reset()
+    for _ in range(5):
+        steps = chosen.step(np.array([0, 1, 2])), direct.step(np.array([[-1], [0], [1]], np.float32))
+        np.testing.assert_array_equal(steps[0][0], steps[1][0])
+        np.testing.assert_array_equal(steps[0][1], steps[1][1])
+
+
+def test_missing_package_is_told_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    with pytest.raises(AgentError, match=r"recurrent_ppo needs .*: pip install 'roadgym\[recurrent\]'"):
+        agents.train(tmp_path / "agent", algorithm="recurrent_ppo", environment=ENVIRONMENT)
+    assert not (tmp_path / "agent").exists()
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in HYPERPARAMETERS.glob("*.yaml")))
+def test_shipped_hyperparameters_fit_their_algorithm(name):
+    algorithm = name if name in ALGORITHMS else name.split("_")[0]
+    chosen = load_hyperparameters(algorithm, name)
+    assert chosen["n_timesteps"] >= 100_000
+    if "buffer_size" not in chosen and "batch_size" in chosen:
+        assert chosen["n_envs"] * chosen["n_steps"] % chosen["batch_size"] == 0  # else the last batch is a short one
+    assert set(chosen["features"]) <= set(FEATURES)
+    smaller = {"n_envs": 2, "features": ["signals"]} | ({"batch_size": 2} if "batch_size" in chosen else {})
+    make_model(algorithm, chosen | smaller, ENVIRONMENT, 0, None)
 
 
 def test_interrupted_training_keeps_its_last_checkpoint_and_resumes(tmp_path):
@@ -152,6 +275,10 @@ def test_output_that_cannot_be_written(tmp_path):
         ({"policy_kwargs": {"activation_fn": "Relu6000"}}, "unknown activation_fn 'Relu6000'"),
         ({"features": ["cubes"]}, "features must be a selection of signals, products"),
         ({"n_timesteps": 0}, "timesteps must be at least 1"),
+        ({"frame_stack": 0}, "frame_stack must be at least 1"),
+        ({"damping_levels": 1}, "damping_levels must be at least 2"),
+        ({"noise_std": -1}, "noise_std must not be negative"),
+        ({"noise_std": 0.1}, "hyperparameters of ppo: .*action_noise"),
     ],
 )
 def test_bad_hyperparameters_are_refused_by_name(tmp_path, change, message):
@@ -159,9 +286,21 @@ def test_bad_hyperparameters_are_refused_by_name(tmp_path, change, message):
         agents.train(tmp_path / "agent", environment=ENVIRONMENT, hyperparameters=SMALL | change)
 
 
-def test_hyperparameter_files(tmp_path):
+@pytest.mark.parametrize(("algorithm", "own"), [("dqn", {"damping_levels": None}), ("sac", {"damping_levels": 2})])
+def test_actions_that_an_algorithm_cannot_take_are_refused(tmp_path, algorithm, own):
+    with pytest.raises(ParameterError, match=f"hyperparameters of {algorithm}: The algorithm only supports"):
+        agents.train(
+            tmp_path / "agent", algorithm=algorithm, environment=ENVIRONMENT, hyperparameters=shrunken(algorithm) | own
+        )
+
+
+def test_hyperparameter_files(tmp_path, monkeypatch):
     assert load_hyperparameters("ppo")["policy"] == "MlpPolicy"
-    with pytest.raises(ParameterError, match="unknown algorithm 'dreamer'; known: ppo"):
+    monkeypatch.chdir(tmp_path)  # a name is that of a shipped file wherever it is said
+    assert load_hyperparameters("ppo", "ppo_scheduling") != load_hyperparameters("ppo")
+    with pytest.raises(ParameterError, match=r"cannot read hyperparameters from 'no.yaml': .* by name there are: a2c, "):
+        load_hyperparameters("ppo", "no.yaml")
+    with pytest.raises(ParameterError, match="unknown algorithm 'dreamer'; known: ppo, sac, td3, "):
         load_hyperparameters("dreamer")
     file = tmp_path / "own.yaml"
     file.write_text("CartPole-v1: {n_envs: 3}")
@@ -170,6 +309,15 @@ def test_hyperparameter_files(tmp_path):
     file.write_text("a: [")
     with pytest.raises(ParameterError, match="cannot read hyperparameters"):
         load_hyperparameters("ppo", file)
+
+
+def test_help_names_what_can_be_chosen(capsys):
+    with pytest.raises(SystemExit):
+        main(["train", "--help"])
+    words = re.findall(r"\w+", capsys.readouterr().out)
+    shipped = {path.stem for path in HYPERPARAMETERS.glob("*.yaml")}
+    assert set(words) >= set(ALGORITHMS) | shipped
+    assert shipped >= set(ALGORITHMS)
 
 
 def test_roads_become_plain_mappings():

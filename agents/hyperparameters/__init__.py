@@ -1,1 +1,1 @@
-"""Hyperparameters, one YAML file an algorithm."""
+"""Hyperparameters: one YAML file an algorithm, and some for a kind of task, taken by their names."""
