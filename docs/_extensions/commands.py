@@ -1,0 +1,38 @@
+"""`.. commands::` lists every command of the command line with its help, from the parser itself."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from unittest import mock
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from agents import cli
+
+
+class Commands(SphinxDirective):
+    """One section for each command."""
+
+    def run(self) -> list[nodes.Node]:
+        """The sections."""
+        self.env.note_dependency(cli.__file__)
+        actions = cli.make_parser()._actions
+        (commands,) = (action for action in actions if isinstance(action, argparse._SubParsersAction))
+        sections: list[nodes.Node] = []
+        for name, command in commands.choices.items():
+            section = nodes.section(ids=[f"roadgym-{name}"], names=[f"roadgym {name}"])
+            section += nodes.title("", f"roadgym {name}")
+            with mock.patch.dict(os.environ, {"COLUMNS": "100", "NO_COLOR": "1"}):
+                text = command.format_help()
+            section += nodes.literal_block(text, text, language="text")
+            sections.append(section)
+        return sections
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directive."""
+    app.add_directive("commands", Commands)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,64 @@
+"""The worked examples run at a small size, and the snippets of the documentation print what it says."""
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+SNIPPETS = {
+    str(page.relative_to(ROOT)): re.findall(r"```pycon\n(.*?)```", page.read_text("utf-8"), re.DOTALL) for page in PAGES
+}
+
+
+def run(script, *arguments, folder):
+    command = [sys.executable, "-W", "error", ROOT / "examples" / script, *arguments]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}  # small networks are fastest on one thread
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_train_and_compare(tmp_path):
+    size = ("--output", "agent", "--timesteps", "1", "--episodes", "16", "--duration", "2")
+    output = run("train_and_compare.py", *size, folder=tmp_path)
+    first, head, *rows = output.splitlines()
+    assert re.fullmatch(r"agent: ppo, \d+ steps", first)
+    assert head.split() == ["speed", "bandwidth", "agent", "analytic_optimum", "skyhook", "agent", "saves"]
+    numbers = [[float(word) for word in row.split() if word != "±"] for row in rows]
+    assert [row[:2] for row in numbers] == [[v, b] for v in (0.7, 1.0, 1.5, 2.0, 3.0) for b in (0.1, 0.3)]
+    for _, _, agent, _, optimum, _, _, _, saved, error in numbers:
+        assert saved == pytest.approx(optimum - agent, abs=2e-4)
+        assert error > 0
+    made = (tmp_path / "agent" / "agent.json").read_text()
+    assert run("train_and_compare.py", *size, folder=tmp_path) == output  # loads the agent; the same roads, the same costs
+    assert (tmp_path / "agent" / "agent.json").read_text() == made
+
+
+def test_own_training_loop(tmp_path):
+    size = ("--timesteps", "100000", "--cars", "256", "--steps", "200")
+    output = run("own_training_loop.py", *size, folder=tmp_path)
+    found = re.search(r"damping (\S+): cost (\S+) by theory, (\S+) ± (\S+) driven", output)
+    damping, theory, driven, error = (float(text) for text in found.groups())
+    assert damping == pytest.approx(0.9814, abs=1e-3)
+    assert theory == pytest.approx(0.9821, abs=1e-4)
+    assert abs(driven - theory) < 4 * error < 0.2
+    saved, error = (float(text) for text in re.search(r"saved: (\S+) ± (\S+) of", output).groups())
+    assert saved > 5 * error  # it has begun to learn
+
+
+@pytest.mark.parametrize("page", [page for page, snippets in SNIPPETS.items() if snippets])
+def test_snippets_of_the_documentation(page):
+    test = doctest.DocTestParser().get_doctest("\n".join(SNIPPETS[page]), {}, page, page, 0)
+    report = []
+    doctest.DocTestRunner(verbose=False).run(test, out=report.append)
+    assert not report, "".join(report)
+
+
+def test_the_documentation_has_snippets():
+    assert sum(len(snippets) for snippets in SNIPPETS.values()) >= 5
