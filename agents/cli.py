@@ -518,8 +518,10 @@ def run_certify(chosen: argparse.Namespace) -> int:
 def run_benchmark(chosen: argparse.Namespace) -> None:
     """``roadgym benchmark``."""
     from .benchmark import CASES, draw_scaling, scaling, scaling_table, table
-    from .training import versions, write_atomically
+    from .training import make_folder, versions, write_atomically
 
+    if chosen.output:
+        make_folder(Path(chosen.output).parent)  # before the work
     names = chosen.only or list(CASES)
     for name in names:
         if name not in CASES:

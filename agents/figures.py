@@ -308,18 +308,28 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
             if task.damping_range[0] < value < task.damping_range[1]:
                 k = int(np.argmin(np.abs(dampings - value)))
                 axis.plot(x[k], y[k], ".", color="#0072B2")
-                axis.annotate(f"{value:g}", (x[k], y[k]), (4, 4), textcoords="offset points", fontsize=7, color="#0072B2")
+                text: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": "#0072B2", "annotation_clip": True}
+                axis.annotate(f"{value:g}", (x[k], y[k]), (4, 4), **text)
+    xs, ys = [], []
     if "optimal_feedback" in comparison.controllers:
         front = optimal_front(comparison, names, point, report)
         look = {**STYLES["optimal_feedback"], "markersize": 5}
-        axis.plot(*front.T, linestyle=":", label="optimal feedback, other weights", **look)
+        xs, ys = front.T.tolist()
+        axis.plot(xs, ys, linestyle=":", label="optimal feedback, other weights", **look)
     for name in comparison.controllers:
+        if name in ("d_min", "d_max"):
+            continue  # the ends of the line
         row = comparison.row(name, point)
         place = [row.squares[signal] for signal in names]
         look = {"markersize": 8, **style(comparison, name)}
         axis.plot(*place, linestyle="none", label=LABELS.get(name, name), **look)
+        xs.append(place[0])
+        ys.append(place[1])
     axis.set_xscale("log")
     axis.set_yscale("log")
+    # the line runs far off, where nobody drives
+    for set_limits, values in ((axis.set_xlim, xs), (axis.set_ylim, ys)):
+        set_limits(min(values) / 1.3, max(values) * 1.6)
     axis.set_xlabel(f"mean square of {names[0].replace('_', ' ')} over $E\\,Z^2$")
     axis.set_ylabel(f"mean square of {names[1].replace('_', ' ')} over $E\\,Z^2$")
     at = f"nu = {task.frequency_ratio(point.speed):g}" + (f", delta = {point.bandwidth:g}" if point.bandwidth else "")
