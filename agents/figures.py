@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 import analysis
 from analysis.response import needs_simulation
@@ -291,7 +292,7 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
     names = list(task.weights_by_name)[:2]
     speeds = sorted({point.speed for point in comparison.points})
     point = next(point for point in comparison.points if point.speed == speeds[(len(speeds) - 1) // 2])
-    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    figure = Figure(figsize=(9.0, 5.4), layout="constrained")
     axis = figure.subplots()
     if not needs_simulation(task.road, task.speed_noise):
         dampings = np.geomspace(*task.damping_range, 120)
@@ -308,7 +309,12 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
             if task.damping_range[0] < value < task.damping_range[1]:
                 k = int(np.argmin(np.abs(dampings - value)))
                 axis.plot(x[k], y[k], ".", color="#0072B2")
-                text: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": "#0072B2", "annotation_clip": True}
+                text: dict[str, Any] = {
+                    "textcoords": "offset points",
+                    "fontsize": 7,
+                    "color": "#0072B2",
+                    "annotation_clip": True,
+                }
                 axis.annotate(f"{value:g}", (x[k], y[k]), (4, 4), **text)
     xs, ys = [], []
     if "optimal_feedback" in comparison.controllers:
@@ -334,6 +340,10 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
     axis.set_ylabel(f"mean square of {names[1].replace('_', ' ')} over $E\\,Z^2$")
     at = f"nu = {task.frequency_ratio(point.speed):g}" + (f", delta = {point.bandwidth:g}" if point.bandwidth else "")
     axis.grid(visible=True, which="both", linewidth=0.3)
-    axis.legend(fontsize=8)
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
+        side.set_major_formatter("{x:g}")
+        side.set_minor_formatter(NullFormatter())
+    figure.legend(loc="outside right upper", fontsize=8)
     save_figure(figure, path)
     return f"{names[0]} against {names[1]} at {at}: lower and further left is better in both."

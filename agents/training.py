@@ -292,6 +292,7 @@ def load(folder: str | Path) -> Agent:
     """
     path = Path(folder)
     description = _read_description(path)
+    torch.set_num_threads(1)  # as in training
     try:
         task = make_task(**description["environment"])
         model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")

@@ -71,7 +71,8 @@ SEARCH_SPACES: dict[str, dict[str, Any]] = {
 }
 NETWORK = ("net_arch", "lstm_hidden_size")  # these go into policy_kwargs
 EVALUATIONS = 4  # of a trial, the last one at its end
-EPISODES = 32  # at each operating point
+EPISODES = 32  # of an evaluation, at each operating point
+DURATION = 100.0  # of each episode, in units of 1/natural_frequency
 INTERRUPTED = "interrupted"
 
 
@@ -284,7 +285,7 @@ class _Objective(BaseCallback):
             speeds=speeds,
             bandwidths=bandwidths,
             episodes=EPISODES,
-            duration=100 / self.task.car.natural_frequency,
+            duration=DURATION / self.task.car.natural_frequency,
             seed=stream_seed(self.seed, 2),  # far from every seed that a comparison is given
         )["agent"]
         best = [optimum(self.task, p.speed, p.bandwidth).cost for p in make_points(self.task, speeds, bandwidths)]

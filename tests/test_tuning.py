@@ -13,7 +13,7 @@ from agents.errors import AgentError
 from agents.training import ALGORITHMS, load_hyperparameters, make_model
 from roadgym import ParameterError
 
-ENVIRONMENT = {"road": "multiplicative", "speed": [0.7, 2.0], "bandwidth": [0.1, 0.3], "damping_range": [0.2, 1.0]}
+ENVIRONMENT = {"road": "multiplicative", "speed": [0.7, 2.0], "bandwidth": [0.1, 0.3], "damping_range": [0.5, 1.0]}
 TINY = {"n_envs": 64, "features": ["signals"], "normalize": {"norm_reward": True}}
 
 
@@ -22,6 +22,7 @@ def search(path, report=tuning.silent, **options):
     chosen = {"trials": 3, "timesteps": 4096, "environment": ENVIRONMENT, "hyperparameters": TINY, "seed": 3}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tuning, "EPISODES", 16)
+        patch.setattr(tuning, "DURATION", 20.0)
         space = tuning.SEARCH_SPACES["ppo"] | {"net_arch": ["8", "8-8"], "batch_size": [256, 512], "n_epochs": [1]}
         patch.setitem(tuning.SEARCH_SPACES, "ppo", space)
         return tuning.tune(path, **chosen | options, report=report)
@@ -138,9 +139,10 @@ def test_trials_that_diverge_are_told(tmp_path, monkeypatch):
 
 def test_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(tuning, "EPISODES", 16)
+    monkeypatch.setattr(tuning, "DURATION", 20.0)
     monkeypatch.setitem(tuning.SEARCH_SPACES, "ppo", {"learning_rate": (1e-4, 1e-3)})
     (tmp_path / "own.yaml").write_text("roadgym/QuarterCar-v0: {n_envs: 4, n_steps: 16, batch_size: 32, gamma: 0.9}")
-    command = ["tune", "--storage", str(tmp_path / "s.db"), "--trials", "1", "--timesteps", "64", "--damping-range", "0.2", "1"]
+    command = ["tune", "--storage", str(tmp_path / "s.db"), "--trials", "1", "--timesteps", "64", "--damping-range", "0.5", "1"]
     command += ["--hyperparameters", str(tmp_path / "own.yaml"), "--output", str(tmp_path / "best.yaml")]
     assert main(command) == 0
     told = capsys.readouterr()
