@@ -9,20 +9,28 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from .advantage import advantage_forms, value_form
-from .operating_grid import OperatingGrid
+from .operating_grid import NODES, OperatingGrid
 from .vec_env import QuarterCarVecEnv, damping_from_action
 
 CHOICES = 4  # damping ratios through which the advantage, smooth in D, is interpolated
+MEMORY = 2000  # steps after which what was paid is forgotten
+FIRST = 100.0  # weight of the constant damping in what was paid, at first
 
 
 class AdvantageReward(VecEnvWrapper):
-    """Replaces each reward by minus the advantage A(s, D)/T of the damping that is set; see `agents.advantage`.
+    """Replaces each reward by the cost that is saved against the best constant damping, with theory's help against noise:
 
-    Averaged over a drive, the advantage differs from the cost by a constant of the operating point, so the same policy is best.
-    But the noise of the road, which the cost mixes into what the damper did, is averaged out by theory, over the interval and
-    over all that a constant damping would make of its end: what is left to learn is what theory does not know. It is divided by
-    the square root of the best constant damping's mean cost, so that speeds at which little moves are not forgotten. The policy
-    needs no more signals for it; infos keep the returns of the environment's own reward.
+        r = -((1 - c) (cost - rho) + c A(s, D)/T),
+
+    with the advantage A of the damping that is set and the mean cost rho of the best constant one (`agents.advantage`).
+
+    For any c the mean over a drive is rho less the mean cost, since A is the cost less rho T and the change of a potential, h
+    (A. Y. Ng, D. Harada and S. Russell, "Policy invariance under reward transformations", ICML 1999). So the same policy is
+    best. But the noise of the road, which the cost mixes into what the damper did, is averaged out by theory, over the interval
+    and over all that a constant damping would make of its end: what is left to learn is what theory does not know. That is
+    least where c h is near the policy's own relative value: c = 1 - (1 - q)^2, with q <= 1 the ratio of the cost paid of late
+    near the operating point to rho. The policy needs no more signals for this; infos keep the returns of the environment's own
+    reward.
 
     Args:
         venv: the environments; their plant must have an advantage (`agents.advantage.has_advantage`).
@@ -40,6 +48,10 @@ class AdvantageReward(VecEnvWrapper):
         # for each choice of damping, the coefficients of the products of two signals, and the constant
         self._first, self._second = np.triu_indices(4)
         self._coefficients = np.empty((venv.num_envs, CHOICES, len(self._first) + 1))
+        self._rho, self._node = np.ones(venv.num_envs), np.zeros(venv.num_envs, np.intp)
+        # cost over rho, and its weight, of late near each node; at first those of the constant damping
+        self._paid, self._weight = np.full(NODES**2, FIRST), np.full(NODES**2, FIRST)
+        self._advantages = np.empty(venv.num_envs)
 
     def _look(self) -> None:
         """Note the state, and work out the forms where the operating point is new."""
@@ -50,14 +62,15 @@ class AdvantageReward(VecEnvWrapper):
             # any constant damping will do for the comparison; the nearest node's is almost the best one
             doubled = points * [1, 2]
             node = np.rint(self._grid.place(doubled / (1 + doubled))).astype(int)
+            self._node[new] = node[:, 0] * NODES + node[:, 1]
             reference = self._grid.damping[node[:, 0], node[:, 1]]
             task, (ratio, bandwidth) = self._envs.task, points.T
+            _, self._rho[new] = value_form(task, reference, ratio, bandwidth)
             forms, constants = advantage_forms(task, self._dampings, reference, ratio, bandwidth)
             twice = np.where(self._first == self._second, 1, 2)
-            _, mean_cost = value_form(task, reference, ratio, bandwidth)
-            scale = task.control_interval * task.car.natural_frequency * np.sqrt(mean_cost)[:, None]
-            self._coefficients[new, :, :-1] = forms[..., self._first, self._second] * twice / scale[..., None]
-            self._coefficients[new, :, -1] = constants / scale
+            interval = task.control_interval * task.car.natural_frequency
+            self._coefficients[new, :, :-1] = forms[..., self._first, self._second] * twice / interval
+            self._coefficients[new, :, -1] = constants / interval
 
     def reset(self) -> npt.NDArray[np.float32]:
         """First observations."""
@@ -72,11 +85,17 @@ class AdvantageReward(VecEnvWrapper):
         weights = np.vander(np.clip(damping[:, 0], *task.damping_range).astype(float), CHOICES) @ self._polynomials
         coefficients = (weights[:, None, :] @ self._coefficients)[:, 0]
         squares = (coefficients[:, :-1] * self._state[:, self._first] * self._state[:, self._second]).sum(axis=1)
-        self._rewards = np.asarray(-(squares + coefficients[:, -1]), np.float32)
+        self._advantages = squares + coefficients[:, -1]
         self.venv.step_async(actions)
 
     def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Drive one control interval."""
-        observations, _, done, infos = self.venv.step_wait()
+        observations, rewards, done, infos = self.venv.step_wait()
+        cost = -rewards.astype(float)
+        share = 1 - np.maximum(1 - self._paid / self._weight, 0)[self._node] ** 2
+        saved = -((1 - share) * (cost - self._rho) + share * self._advantages)
+        for sums, values in ((self._paid, cost / self._rho), (self._weight, np.ones_like(cost))):
+            sums *= 1 - 1 / MEMORY
+            np.add.at(sums, self._node, values)
         self._look()
-        return np.asarray(observations), self._rewards, done, infos
+        return np.asarray(observations), saved.astype(np.float32), done, infos

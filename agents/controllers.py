@@ -4,9 +4,9 @@
 for observations of shape (n, signals); one observation of shape (signals,) gives D of shape (1,). Unlike a bare model's action,
 which lies in [-1, 1], D is what the environment takes.
 
-The rules are applied to the one-mass car: body velocity Y', relative velocity Y' - Z', travel Y - Z. Two ideas of the literature
-are left out, since this car has nothing for them to act on: groundhook damps the motion of the wheel, which here follows the
-road; and road holding is judged by the load of the tyre, which here has no deflection.
+The rules are applied to the one-mass car: body velocity Y', relative velocity Y' - Z', travel Y - Z. Two ideas of the
+literature are left out, since this car has nothing for them to act on: groundhook damps the motion of the wheel, which here
+follows the road; and road holding is judged by the load of the tyre, which here has no deflection.
 """
 
 from __future__ import annotations
