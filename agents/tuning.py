@@ -188,6 +188,9 @@ def _open(package: Any, path: Path, asked: dict[str, Any]) -> optuna.Study:
     for name, value in asked.items():
         known = study.user_attrs.get(name, value)
         if known != value:
+            if isinstance(known, dict) and isinstance(value, dict):  # tell no more than what differs
+                differ = [key for key in {**known, **value} if known.get(key) != value.get(key)]
+                known, value = ({key: side.get(key) for key in differ} for side in (known, value))
             raise ParameterError(
                 f"{name} of the study in {str(path)!r} is {json.dumps(known)}, got {json.dumps(value)}: choose another file"
             )

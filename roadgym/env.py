@@ -40,8 +40,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     - Reward: minus the weighted sum of the interval's mean squares over the road's variance E Z^2. With the default weights the
       mean reward at constant D is minus the variance ratio E Y^2 / E Z^2, for example (16) of Wedig (2020).
     - Observation: float32, the signals named in ``signal_names``, in units of the road's standard deviation (velocity over w1,
-      acceleration over w1^2), saturating at 20 of them; then the operating point, speed as nu/(1 + nu) with
-      nu = speed * wavenumber / natural_frequency and, where it exists, bandwidth delta as 2 delta/(1 + 2 delta).
+      acceleration over w1^2), saturating at 20 of them; then, unless it is hidden, the operating point, speed as nu/(1 + nu)
+      with nu = speed * wavenumber / natural_frequency and, where it exists, bandwidth delta as 2 delta/(1 + 2 delta).
       ``signal_scale`` holds the factors that make metres of them.
     - Info after a step: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
       ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
