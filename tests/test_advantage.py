@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
+import agents
 from agents.advantage import advantage_forms, has_advantage, mean_drift, value_form
 from agents.advantage_reward import AdvantageReward
 from agents.controllers import make_controller, optimum, theoretical_cost
+from agents.features import Features
 from agents.vec_env import QuarterCarVecEnv
+from roadgym import ParameterError
 from roadgym.compiled import DISPLACEMENT, LEVEL, SLOPE, VELOCITY
 from roadgym.plant import Plant
 from roadgym.task import make_task
@@ -105,3 +108,60 @@ def test_rewards_average_to_the_cost_saved():
 )
 def test_plants_with_an_advantage(environment, known):
     assert has_advantage(make_task(**environment)) == known
+
+
+def test_lookahead_features_are_differences_of_advantages():
+    task = make_task(**ENVIRONMENT)
+    generator = np.random.default_rng(5)
+    points = generator.uniform([0.41, 0.2], [0.75, 0.37], (200, 2))  # as observed
+    observations = np.concatenate([generator.normal(0, 1, (200, 4)), points], axis=1).astype(np.float32)
+    firm, middle = Features(task, ["lookahead"])(observations)[:, 2:].T
+    ratio, twice_bandwidth = (points / (1 - points)).T
+    best = np.array([float(optimum(task, nu, d / 2).damping) for nu, d in zip(ratio, twice_bandwidth, strict=True)])
+    forms, constants = advantage_forms(task, [0.05, 0.525, 1.0], best, ratio, twice_bandwidth / 2)
+    state = observations[:, :4].astype(float)
+    advantages = np.einsum("ni,nkij,nj->nk", state, forms, state) + constants
+    # scaled, and interpolated between nodes of the operating point
+    assert np.corrcoef(firm, advantages[:, 2] - advantages[:, 0])[0, 1] > 0.85
+    clear = np.abs(firm) > 0.02
+    assert clear.mean() > 0.8
+    assert (np.sign(firm) == np.sign(advantages[:, 2] - advantages[:, 0]))[clear].all()
+    assert (np.sign(middle) == np.sign(advantages[:, 1] - advantages[:, 0]))[np.abs(middle) > 0.02].all()
+
+
+def test_lookahead_features_are_left_out_where_they_are_unknown():
+    assert Features(make_task(**ENVIRONMENT), ["signals", "lookahead"]).size == 8
+    for unknown in ({"observation": ["travel", "velocity"]}, {"speed_noise": "low_pass"}):
+        task = make_task(**ENVIRONMENT, **unknown)
+        assert Features(task, ["signals", "lookahead"]).size == len(task.signals)
+
+
+HYPERPARAMETERS = {
+    "n_envs": 8,
+    "n_steps": 16,
+    "batch_size": 64,
+    "n_epochs": 1,
+    "n_timesteps": 256,
+    "policy_kwargs": {"net_arch": [8]},
+}
+
+
+@pytest.mark.parametrize(
+    ("environment", "asked", "used"),
+    [
+        (ENVIRONMENT, "advantage", "advantage"),
+        ({**ENVIRONMENT, "observation": ["travel"], "observe_operating_point": False}, "advantage", "advantage"),
+        (ENVIRONMENT, "cost", "cost"),
+        ({"road": "harmonic", "speed_noise": "white"}, "advantage", "cost"),
+    ],
+)
+def test_an_agent_tells_what_it_learned_from(environment, asked, used, tmp_path):
+    agent = agents.train(tmp_path, environment=environment, hyperparameters={**HYPERPARAMETERS, "training_reward": asked})
+    assert agent.description["training_reward"] == used
+    assert isinstance(agent.model.get_env().venv, AdvantageReward) == (used == "advantage")
+
+
+def test_an_unknown_training_reward_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match='training_reward must be "cost" or "advantage", got \'comfort\''):
+        agents.train(tmp_path / "agent", hyperparameters={**HYPERPARAMETERS, "training_reward": "comfort"})
+    assert not (tmp_path / "agent").exists()
