@@ -20,17 +20,18 @@ FIRST = 100.0  # weight of the constant damping in what was paid, at first
 class AdvantageReward(VecEnvWrapper):
     """Replaces each reward by the cost that is saved against the best constant damping, with theory's help against noise:
 
-        r = -((1 - c) (cost - rho) + c A(s, D)/T),
+        r = -((1 - c) (cost - rho) + c A(s, D)/T) / sqrt(rho),
 
     with the advantage A of the damping that is set and the mean cost rho of the best constant one (`agents.advantage`).
 
-    For any c the mean over a drive is rho less the mean cost, since A is the cost less rho T and the change of a potential, h
+    For any c the mean over a drive is (rho - mean cost)/sqrt(rho), since A is the cost less rho T and the change of a potential, h
     (A. Y. Ng, D. Harada and S. Russell, "Policy invariance under reward transformations", ICML 1999). So the same policy is
     best. But the noise of the road, which the cost mixes into what the damper did, is averaged out by theory, over the interval
     and over all that a constant damping would make of its end: what is left to learn is what theory does not know. That is
     least where c h is near the policy's own relative value: c = 1 - (1 - q)^2, with q <= 1 the ratio of the cost paid of late
-    near the operating point to rho. The policy needs no more signals for this; infos keep the returns of the environment's own
-    reward.
+    near the operating point to rho. The square root keeps operating points of small cost from being forgotten: without it they
+    are, with it in full the large ones suffer. The policy needs no more signals for all this; infos keep the returns of the
+    environment's own reward.
 
     Args:
         venv: the environments; their plant must have an advantage (`agents.advantage.has_advantage`).
@@ -93,7 +94,7 @@ class AdvantageReward(VecEnvWrapper):
         observations, rewards, done, infos = self.venv.step_wait()
         cost = -rewards.astype(float)
         share = 1 - np.maximum(1 - self._paid / self._weight, 0)[self._node] ** 2
-        saved = -((1 - share) * (cost - self._rho) + share * self._advantages)
+        saved = -((1 - share) * (cost - self._rho) + share * self._advantages) / np.sqrt(self._rho)
         for sums, values in ((self._paid, cost / self._rho), (self._weight, np.ones_like(cost))):
             sums *= 1 - 1 / MEMORY
             np.add.at(sums, self._node, values)

@@ -90,7 +90,7 @@ def test_rewards_average_to_the_cost_saved():
             saved += found / 400
             cost -= paid / 400
     best = optimum(task, 1.3, 0.2).cost
-    expected = best - cost
+    expected = (best - cost) / np.sqrt(best)
     error = (saved - expected).std() / np.sqrt(2048)
     assert error < 0.02 * expected.mean()
     assert abs(saved.mean() - expected.mean()) < 4 * error + 2e-3 * expected.mean()
