@@ -24,7 +24,7 @@ class AdvantageReward(VecEnvWrapper):
 
     with the advantage A of the damping that is set and the mean cost rho of the best constant one (`agents.advantage`).
 
-    For any c the mean over a drive is (rho - mean cost)/sqrt(rho), since A is the cost less rho T and the change of a potential, h
+    For any c the mean over a drive is (rho - mean cost)/sqrt(rho), as A is the cost less rho T and the change of a potential, h
     (A. Y. Ng, D. Harada and S. Russell, "Policy invariance under reward transformations", ICML 1999). So the same policy is
     best. But the noise of the road, which the cost mixes into what the damper did, is averaged out by theory, over the interval
     and over all that a constant damping would make of its end: what is left to learn is what theory does not know. That is
