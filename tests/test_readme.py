@@ -1,11 +1,14 @@
 """The examples of the README run as they stand, and what they say is so."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from agents.cli import make_parser
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -50,3 +53,36 @@ def test_example_runs(number, tmp_path):
 
 def test_there_are_examples():
     assert len(EXAMPLES) == 2
+
+
+PAGES = [Path(__file__).parents[1] / "README.md", *sorted((Path(__file__).parents[1] / "docs").rglob("[!_]*.md"))]
+COMMANDS = sorted(
+    {
+        " ".join(line.replace("\\\n", " ").split())
+        for page in PAGES
+        for block in re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+        for line in block.replace("\\\n", " ").splitlines()
+        if line.startswith("roadgym ")
+    }
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_of_the_documentation_are_understood(command):
+    arguments = shlex.split(command, comments=True)[1:]
+    if "COMMAND" not in arguments and "--version" not in arguments:
+        assert make_parser().parse_args(arguments).command == arguments[0]
+
+
+def test_every_command_has_an_example_that_is_understood():
+    parser = make_parser()
+    commands = next(action.choices for action in parser._actions if isinstance(action.choices, dict))
+    assert len(commands) == 10
+    for name, command in commands.items():
+        example = shlex.split(command.epilog.removeprefix("example: "))
+        assert example[:2] == ["roadgym", name]
+        assert parser.parse_args(example[1:]).command == name
+
+
+def test_there_are_commands():
+    assert len(COMMANDS) > 15
