@@ -379,7 +379,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
     from .comparison import observed_in_full, with_error
     from .controllers import make_controller
     from .evaluation import Predictor, evaluate
-    from .progress import evaluation_progress
+    from .progress import work_progress
     from .training import load
 
     if chosen.agent:
@@ -392,7 +392,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         name = chosen.controller
         controller = make_controller(name, make_task(**observed_in_full(environment)))
     _check_evaluation(chosen, environment)
-    with evaluation_progress() as report:
+    with work_progress() as report:
         result = evaluate(
             {name: controller},
             environment=environment,
@@ -425,7 +425,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
     from roadgym.parameters import whole
 
     from .comparison import AGENT, compare, group_agents, table, write
-    from .progress import evaluation_progress, work_progress
+    from .progress import work_progress
     from .training import load, make_folder
 
     if chosen.agent:
@@ -443,7 +443,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
             place = folder / f"agent-{seed}"
             same = _same_agent(chosen, place, environment, seed)
             learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=same))
-    with evaluation_progress() as report:
+    with work_progress() as report:
         comparison = compare(
             learned,
             environment=environment,
@@ -453,8 +453,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
             controllers=chosen.controllers,
             **_grid(chosen),
         )
-    with work_progress() as report_work:
-        files = write(comparison, folder, report_work)
+        files = write(comparison, folder, report)
     print(comparison.to_json() if chosen.json else table(comparison))
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
@@ -498,9 +497,9 @@ def run_certify(chosen: argparse.Namespace) -> int:
     """``roadgym certify``."""
     from analysis.certification import certify
 
-    from .progress import evaluation_progress
+    from .progress import work_progress
 
-    with evaluation_progress() as report:
+    with work_progress() as report:
         certificate = certify(
             chosen.road,
             chosen.speed_noise,

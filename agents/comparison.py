@@ -21,7 +21,7 @@ from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 
-from .controllers import Controller, make_controller, optimum, theoretical_cost
+from .controllers import Controller, OptimalFeedback, make_controller, optimum, theoretical_cost
 from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate
 from .training import Agent, make_folder, plain, versions, write_atomically
 
@@ -293,6 +293,9 @@ def compare(
     plant = observed_in_full(environment)
     task = make_task(**plant)
     rivals = make_rivals(task, controllers)
+    for rival in rivals.values():
+        if isinstance(rival, OptimalFeedback):
+            rival.report = report
     drivers: dict[str, Predictor] = {}
     for name, seeds in named.items():
         if name in rivals or not seeds:

@@ -346,6 +346,9 @@ class OptimalFeedback(Scheduled):
 
     Each operating point takes some seconds the first time, and is kept in the user's cache folder.
 
+    Attributes:
+        report: called as ``report(what, done, in all)`` while a feedback is found, if it is set.
+
     Raises:
         ParameterError: a road or a speed noise for which there is no such feedback.
     """
@@ -355,10 +358,12 @@ class OptimalFeedback(Scheduled):
         analysis.feedback.check_road(task.road)
         if task.speed_noise is not None:
             raise ParameterError(f"optimal_feedback needs a constant speed, got {task.speed_noise.kind} speed noise")
+        self.report: Callable[[str, int, int], None] | None = None
 
     def make_forms(self, ratio: float, bandwidth: float) -> analysis.OptimalFeedback:
         """The feedback at this operating point."""
-        task = self.task
+        task, report = self.task, self.report
+        what = f"optimal feedback at nu = {ratio:.3g}, delta = {bandwidth:.3g}"
         return analysis.optimal_feedback(
             road_at(task, float(f"{bandwidth:.6g}")),
             # observed in single precision: six digits make neighbouring roundings one operating point, and one file
@@ -368,6 +373,7 @@ class OptimalFeedback(Scheduled):
             bounds=task.damping_range,
             control_interval=task.control_interval,
             cache=cache_folder(),
+            report=None if report is None else lambda done, total: report(what, done, total),
         )
 
     def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:

@@ -138,7 +138,7 @@ def evaluate(
         transient: time discarded before it, s; by default 5/(D_min natural_frequency), after which what a start at rest leaves
             of the variance, exp(-2 D_min natural_frequency t) at most, is below 1e-4 of it.
         seed: fixes the roads; no road of one seed is met in training or under another seed.
-        report: called as ``report(controller, steps done, steps in all)`` now and then.
+        report: called as ``report(what, steps done, steps in all)`` now and then.
 
     Raises:
         ParameterError: a parameter out of range, or too few or too short episodes for a standard error.
@@ -174,7 +174,7 @@ def evaluate(
                     square += infos[signal]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
-                report(name, step + 1, skipped + measured)
+                report(f"driving {name}", step + 1, skipped + measured)
         shape = (len(points), episodes)
         result[name] = Evaluation(
             points,

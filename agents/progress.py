@@ -60,19 +60,8 @@ def tuning_progress() -> Iterator[Callable[[int, int, int, float | None], None]]
 
 
 @contextlib.contextmanager
-def evaluation_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A report for `agents.evaluate`."""
-    with _bar() as tell:
-
-        def report(controller: str, done: int, total: int) -> None:
-            tell(f"driving {controller}", done, total, "")
-
-        yield report
-
-
-@contextlib.contextmanager
 def work_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A report for `analysis.figures` and `analysis.errata`."""
+    """A report of (what, done, in all)."""
     with _bar() as tell:
 
         def report(what: str, done: int, total: int) -> None:
