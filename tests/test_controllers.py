@@ -158,16 +158,16 @@ def test_products_alone_are_even_and_signals_are_kept():
     observation = observe(displacement=[0.5, 2], velocity=[1, -1], level=[-0.3, 4], slope=[2, 0.1], speed=1.5, bandwidth=0.1)
     mirrored = observation.copy()
     mirrored[:, :4] *= -1
-    even = Features(SIGNALS, ["products"])
+    even = Features(TASK, ["products"])
     np.testing.assert_array_equal(even(observation), even(mirrored))
     assert even(observation).shape == (2, even.size) == (2, 12)
-    both = Features(SIGNALS, ["signals", "products"])
+    both = Features(TASK, ["signals", "products"])
     assert both(observation).shape == (2, 16)
     np.testing.assert_array_equal(both(observation)[:, 2:6], observation[:, :4])
     scale = np.sqrt(1 + np.sum(observation[0, :4] ** 2))
     assert both(observation)[0, 7] == pytest.approx(observation[0, 0] * observation[0, 1] / scale)
     with pytest.raises(ParameterError, match="features must be a selection of signals, products"):
-        Features(SIGNALS, ["cubes"])
+        Features(TASK, ["cubes"])
 
 
 def test_optimal_feedback_is_worked_out_once_and_kept(tmp_path, monkeypatch):

@@ -244,7 +244,7 @@ def test_rescaled_actions_reach_the_damper(action, damping):
 # the hyperparameter files of rl-baselines3-zoo
 
 GUIDE = (Path(__file__).parents[1] / "docs" / "guides" / "agents.md").read_text("utf-8")
-OURS = ("features", "damping_levels", "noise_std")
+OURS = ("features", "training_reward", "damping_levels", "noise_std")
 FILES = sorted(HYPERPARAMETERS.glob("*.yaml"))
 ENVIRONMENT = {"road": "multiplicative", "speed": (0.5, 3.2)}
 
