@@ -39,6 +39,18 @@ def _cells(comparison: Comparison, row: Row) -> dict[str, Any]:
     }
 
 
+def _configuration(comparison: Comparison) -> dict[str, Any]:
+    """What made the comparison; of agents that differ in the seed alone, what they have in common once."""
+    chosen = {name: value for name, value in comparison.configuration.items() if name not in ("versions", "written", "agents")}
+    chosen["agents"] = {}
+    for name, descriptions in comparison.configuration["agents"].items():
+        first = descriptions[0] or {}
+        common = {key: first[key] for key in ("algorithm", "environment", "hyperparameters", "training_reward") if key in first}
+        own = [{key: each[key] for key in ("seed", "timesteps", "command", "saved")} for each in descriptions if each]
+        chosen["agents"][name] = {**common, "training": own}
+    return chosen
+
+
 def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     """The page, for a browser or for print; it asks the network for nothing."""
     task = comparison.task
@@ -58,11 +70,7 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
         pictures=[
             {"data": base64.b64encode(picture.path.read_bytes()).decode(), "caption": picture.caption} for picture in pictures
         ],
-        configuration=yaml.safe_dump(
-            {name: value for name, value in comparison.configuration.items() if name not in ("versions", "written")},
-            sort_keys=False,
-            allow_unicode=True,
-        ),
+        configuration=yaml.safe_dump(_configuration(comparison), sort_keys=False, allow_unicode=True, default_flow_style=None),
         versions=comparison.configuration["versions"],
         written=comparison.configuration["written"],
     )
