@@ -463,6 +463,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
     """``roadgym drive``."""
     from roadgym.task import make_task
 
+    from .comparison import observed_in_full
     from .driving import check_output, drive, find_rival, make_driver
     from .progress import work_progress
     from .training import load
@@ -476,7 +477,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
     if agents:
         _refuse_environment(chosen)
     environment = agents[0].description["environment"] if agents else environment_from(chosen)
-    task = make_task(**environment)
+    task = make_task(**observed_in_full(environment))
     drivers = [(name, make_driver(name, agent, task)) for name, agent in found]
     with work_progress() as report:
         drive(

@@ -15,12 +15,13 @@ from gymnasium.error import DependencyNotInstalled
 from PIL import Image
 
 from roadgym.env import QuarterCarEnv
+from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, positive, whole
-from roadgym.task import Task
+from roadgym.task import Task, make_task
 
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
-from .evaluation import Predictor
+from .evaluation import Predictor, observed_by
 from .training import Agent, load, stream_seed
 
 Frame = npt.NDArray[np.uint8]
@@ -65,14 +66,13 @@ def make_driver(name: str, agent: Agent | None, task: Task) -> Predictor:
     """The agent, if it can drive on ``task``, or the controller of that name.
 
     Raises:
-        ParameterError: the agent was trained to observe other signals or to answer in another range; an unknown controller.
+        ParameterError: the agent was trained to answer in another range; an unknown controller.
     """
     if agent is None:
         return make_controller(name, task)
-    for what in ("signals", "damping_range"):
-        own, here = getattr(agent.task, what), getattr(task, what)
-        if own != here:
-            raise ParameterError(f"the agent {name!r} cannot drive here: its {what} are {own}, here they are {here}")
+    own, here = agent.task.damping_range, task.damping_range
+    if own != here:
+        raise ParameterError(f"the agent {name!r} cannot drive here: its damping_range is {own}, here it is {here}")
     return agent
 
 
@@ -96,8 +96,10 @@ def frames(
     from roadgym.rendering import share_scales
 
     cars: list[tuple[QuarterCarEnv, Predictor, list[Any]]] = []
+    task = make_task(**environment)
     for title, driver in drivers:
-        env = QuarterCarEnv(render_mode="rgb_array", **environment)
+        seen = {"observation": list(observed_by(driver, task)), "observe_operating_point": False}  # each its own signals
+        env = QuarterCarEnv(render_mode="rgb_array", **{**environment, **seen})
         env.render_title = title if len(title) <= TITLE else f"…{title[1 - TITLE :]}"
         observation, _ = env.reset(seed=stream_seed(seed, 3), options=options)
         cars.append((env, driver, [observation, None]))
@@ -192,14 +194,11 @@ def show(film: Iterator[Frame]) -> int:
 
 def write(path: Path, film: Iterator[Frame], total: int) -> None:
     """Write ``total`` frames as a film, whole or not at all; the ending tells its format."""
-    part = path.with_name(f"part-{path.name}")
     try:
-        WRITERS[path.suffix.lower()](part, film, total)
-        part.replace(path)
+        with whole_file(path) as part:
+            WRITERS[path.suffix.lower()](part, film, total)
     except OSError as error:
         raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def write_mp4(path: Path, film: Iterator[Frame], total: int) -> None:

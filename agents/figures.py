@@ -17,6 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 import analysis
 from analysis.response import needs_simulation
 from roadgym.car import MEAN_SQUARES
+from roadgym.files import whole_file
 from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -101,12 +102,8 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
 def save_figure(figure: Figure, path: Path) -> None:
     """Write the figure whole or not at all."""
     FigureCanvasAgg(figure)
-    part = path.with_name(f"part-{path.name}")
-    try:
+    with whole_file(path) as part:
         figure.savefig(part, dpi=150)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def draw_cost_over_speed(comparison: Comparison, path: Path) -> Path:

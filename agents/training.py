@@ -34,6 +34,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
 import roadgym
+from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
@@ -79,12 +80,8 @@ def versions() -> dict[str, str]:
 
 def write_atomically(path: Path, text: str) -> None:
     """Write a whole text file or leave what is there."""
-    part = path.with_name(f"part-{path.name}")
-    try:
+    with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def make_folder(folder: str | Path) -> Path:
@@ -350,9 +347,8 @@ class _Checkpoint(BaseCallback):
 def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> None:
     """Write the model under a new name, then make agent.json name it, then drop the models before it."""
     name = f"model-{model.num_timesteps}.zip"
-    part = folder / f"part-{name}"
-    model.save(part)
-    part.replace(folder / name)
+    with whole_file(folder / name) as part:
+        model.save(part)
     envs = model.get_vec_normalize_env()
     spread = None if envs is None else {key: float(getattr(envs.ret_rms, key)) for key in ("mean", "var", "count")}
     content = {**description, "model": name, "timesteps": model.num_timesteps, "reward_statistics": spread}

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from roadgym import MEAN_SQUARES, __version__
+from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, number
 from roadgym.reward import check_weights, divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, make_road
@@ -87,13 +88,9 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
     }
     text = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, json.dumps(data))
     target = Path(path)
-    part = target.with_name(f"part-{target.name}")
     try:
-        try:
+        with whole_file(target) as part:
             part.write_text(text, encoding="utf-8")
-            part.replace(target)
-        finally:
-            part.unlink(missing_ok=True)
     except OSError as error:
         raise ParameterError(f"cannot write {str(target)!r}: {error.strerror or error}") from None
     return target

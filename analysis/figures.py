@@ -22,6 +22,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm, PowerNorm
 from matplotlib.figure import Figure
 
+from roadgym.files import whole_file
 from roadgym.parameters import ParameterError
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -103,24 +104,17 @@ def write(
             drawing = FIGURES[number](full, report)
             for name, table in drawing.tables.items():
                 path = target / f"figure_{number:02d}{name and '_' + name}.csv"
-                _replace(path, functools.partial(_write_table, table))
+                with whole_file(path) as part:
+                    _write_table(table, part)
                 files.append(path)
             FigureCanvasAgg(drawing.figure)
             path = target / f"figure_{number:02d}.png"
-            _replace(path, functools.partial(drawing.figure.savefig, dpi=200))
+            with whole_file(path) as part:
+                drawing.figure.savefig(part, dpi=200)
             files.append(path)
     except OSError as error:
         raise ParameterError(f"the folder {folder} cannot be written: {error.strerror or error}") from None
     return files
-
-
-def _replace(path: Path, write_to: Callable[[Path], None]) -> None:
-    part = path.with_name(f"part-{path.name}")
-    try:
-        write_to(part)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _write_table(table: Table, path: Path) -> None:

@@ -14,7 +14,7 @@ import agents
 import roadgym.rendering as picture
 from agents import driving
 from agents.cli import main
-from agents.controllers import make_controller
+from agents.controllers import ConstantDamping, make_controller
 from agents.errors import AgentError
 from roadgym import ParameterError
 from roadgym.task import make_task
@@ -165,9 +165,25 @@ def test_agents_drive_on_the_roads_they_know(agent_folder, tmp_path, monkeypatch
     assert main(["drive", "--agent", "ppx", "--output", "a.gif"]) == 2
     assert "no agent in 'ppx'" in capsys.readouterr().err
     agent = agents.load("ppo")
-    for change in ({"damping_range": (0.1, 1.0)}, {"observation": ["level"]}):
-        with pytest.raises(ParameterError, match="the agent 'ppo' cannot drive here"):
-            driving.make_driver("ppo", agent, make_task(**ENVIRONMENT, **change))
+    with pytest.raises(ParameterError, match="the agent 'ppo' cannot drive here: its damping_range is"):
+        driving.make_driver("ppo", agent, make_task(**ENVIRONMENT, damping_range=(0.1, 1.0)))
+
+
+def test_each_driver_sees_its_own_signals():
+    """As an agent that was trained on a part of the state drives beside a controller that needs all of it."""
+    seen = []
+
+    class Sensors(ConstantDamping):
+        def damping(self, signals):
+            seen.append(tuple(signals))
+            return 0.3
+
+    sensors = Sensors(make_task(**ENVIRONMENT, observation=["travel", "velocity"], observe_operating_point=False), 0.3)
+    pair = [("sensors", sensors), *drivers("skyhook")]
+    hidden = {**ENVIRONMENT, "observation": ["level"], "observe_operating_point": False}  # of neither
+    first, *_, last = itertools.islice(driving.frames(pair, hidden, seed=1, options=POINT), 4)
+    assert first.shape == last.shape == (640, 1600, 3)
+    assert set(seen) == {("travel", "velocity")}
 
 
 def test_window_shows_both_until_it_is_closed():
