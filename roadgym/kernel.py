@@ -5,8 +5,12 @@ Data flow of one control interval, for each block of LANES lanes (see `roadgym.c
 1. clip the actions to the damping range and compute the car's free decay over one substep;
 2. draw all random words of the interval, a pure function of (seed, episode, step);
 3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, the squares add up;
-4. observe, add up the reward from the mean squares, count the step;
+4. close the means of the squares, add up the reward from them, count the step, observe;
 5. lanes whose episode is over start anew, one by one.
+
+The mean square of an interval is that of its integral, by the trapezoidal rule over the substeps: the acceleration jumps with
+the damping, so its square at the beginning counts with the new damping, and at the end with the same one. Nothing that is not
+finite leaves unseen: the functions that step and reset tell the first environment in which a number is not.
 
 What differs between plants is only which lane functions are called, by address, and how many words they take. Nothing depends
 on how blocks are shared out between threads. The integers and numbers that describe a plant are two arrays, indexed by the
@@ -35,6 +39,7 @@ from .compiled import (
     LaneFunction,
     call,
     compiled,
+    inlined,
     like,
 )
 from .noise import INTERVAL, START, WARM_UP, philox, uniform
@@ -51,13 +56,14 @@ from .noise import INTERVAL, START, WARM_UP, philox, uniform
     SPEED_ADVANCE,
     CAR_GRIP,
     CAR_FOLLOW,
+    CAR_CLOSE,
     FILL_WORDS,
     MAX_EPISODE_STEPS,
     AUTORESET,
     WARM_UP_STEPS,
     HAS_SLOPE,
     INTEGERS,
-) = range(16)
+) = range(17)
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 
 # numbers of a plant
@@ -82,9 +88,9 @@ COUNTERS = 5 * LANES
 # rows of the scratch of a block
 PREVIOUS_LEVEL, DAMPING = 0 * LANES, 1 * LANES
 DECAY_11, DECAY_12, DECAY_22 = 2 * LANES, 3 * LANES, 4 * LANES
-SQUARE = 5 * LANES  # sums of squares, five rows, in the order of car.MEAN_SQUARES
+SQUARE = 5 * LANES  # sums, then means of squares, five rows, in the order of car.MEAN_SQUARES
 SIGNAL = 10 * LANES  # nine rows, in the order of SIGNALS
-CONSTANT = 19 * LANES  # the substep and its inverse
+CONSTANT = 19 * LANES  # the substep, its inverse, and one over the number of substeps
 SCRATCH = 20 * LANES
 SIGNALS = (
     "displacement",
@@ -102,21 +108,32 @@ SIGNALS = (
 REWARD, RESULT_SQUARE, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, RESULTS = 0, 1, 6, 7, 8, 9
 
 
+@inlined
+def squares(y: Any, x: Any, z: Any, slope: Any, resistance: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """The squares at an instant, in the order of `car.MEAN_SQUARES`; ``slope`` is that in time."""
+    travel, relative = y - z, x - slope
+    acceleration = resistance * relative + travel
+    return y * y, x * x, acceleration * acceleration, travel * travel, relative * relative
+
+
 @LaneFunction
 def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """Prepare the car for an interval: free decay over a substep at the damping of each lane, sums of squares zero."""
-    interval, zero = scratch[CONSTANT], like(lanes, 0.0)
+    """Prepare the car for an interval: free decay over a substep at the damping of each lane, and half the squares now."""
+    interval, half, two = scratch[CONSTANT], like(lanes, 0.5), like(lanes, 2.0)
     for i in range(LANES):
         phi_11, phi_12, phi_22 = free_decay(scratch[DAMPING + i], interval, lanes)
         scratch[DECAY_11 + i] = phi_11
         scratch[DECAY_12 + i] = phi_12
         scratch[DECAY_22 + i] = phi_22
-        scratch[PREVIOUS_LEVEL + i] = lanes[LEVEL + i]
-        scratch[SQUARE + i] = zero
-        scratch[SQUARE + LANES + i] = zero
-        scratch[SQUARE + 2 * LANES + i] = zero
-        scratch[SQUARE + 3 * LANES + i] = zero
-        scratch[SQUARE + 4 * LANES + i] = zero
+    for i in range(LANES):
+        z, slope = lanes[LEVEL + i], lanes[RATE + i] * lanes[SLOPE + i]
+        scratch[PREVIOUS_LEVEL + i] = z
+        yy, xx, aa, tt, rr = squares(lanes[DISPLACEMENT + i], lanes[VELOCITY + i], z, slope, two * scratch[DAMPING + i])
+        scratch[SQUARE + i] = half * yy
+        scratch[SQUARE + LANES + i] = half * xx
+        scratch[SQUARE + 2 * LANES + i] = half * aa
+        scratch[SQUARE + 3 * LANES + i] = half * tt
+        scratch[SQUARE + 4 * LANES + i] = half * rr
 
 
 @LaneFunction
@@ -134,14 +151,31 @@ def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
         lanes[DISPLACEMENT + i] = y
         lanes[VELOCITY + i] = x
         scratch[PREVIOUS_LEVEL + i] = z
-        travel = y - z
-        relative = x - lanes[RATE + i] * lanes[SLOPE + i]
-        acceleration = resistance * relative + travel
-        scratch[SQUARE + i] += y * y
-        scratch[SQUARE + LANES + i] += x * x
-        scratch[SQUARE + 2 * LANES + i] += acceleration * acceleration
-        scratch[SQUARE + 3 * LANES + i] += travel * travel
-        scratch[SQUARE + 4 * LANES + i] += relative * relative
+        yy, xx, aa, tt, rr = squares(y, x, z, lanes[RATE + i] * lanes[SLOPE + i], resistance)
+        scratch[SQUARE + i] += yy
+        scratch[SQUARE + LANES + i] += xx
+        scratch[SQUARE + 2 * LANES + i] += aa
+        scratch[SQUARE + 3 * LANES + i] += tt
+        scratch[SQUARE + 4 * LANES + i] += rr
+
+
+@LaneFunction
+def close_interval(lanes: Any, words: Any, scratch: Any) -> None:
+    """Take back half the squares at the end of an interval, and make means of the sums."""
+    share, half, two = scratch[CONSTANT + 2], like(lanes, 0.5), like(lanes, 2.0)
+    for i in range(LANES):
+        yy, xx, aa, tt, rr = squares(
+            lanes[DISPLACEMENT + i],
+            lanes[VELOCITY + i],
+            lanes[LEVEL + i],
+            lanes[RATE + i] * lanes[SLOPE + i],
+            two * scratch[DAMPING + i],
+        )
+        scratch[SQUARE + i] = share * (scratch[SQUARE + i] - half * yy)
+        scratch[SQUARE + LANES + i] = share * (scratch[SQUARE + LANES + i] - half * xx)
+        scratch[SQUARE + 2 * LANES + i] = share * (scratch[SQUARE + 2 * LANES + i] - half * aa)
+        scratch[SQUARE + 3 * LANES + i] = share * (scratch[SQUARE + 3 * LANES + i] - half * tt)
+        scratch[SQUARE + 4 * LANES + i] = share * (scratch[SQUARE + 4 * LANES + i] - half * rr)
 
 
 @compiled
@@ -162,7 +196,7 @@ def drive_interval(
     integers: Any,
     purpose: int,
 ) -> None:
-    """Drive one block through one control interval; leaves the sums of squares in the scratch."""
+    """Drive one block through one control interval; leaves the mean squares in the scratch."""
     substeps = integers[SUBSTEPS]
     words_per_substep = integers[ROAD_WORDS] + integers[SPEED_WORDS]
     draw_words(words, counters, integers, purpose, substeps * words_per_substep)
@@ -179,14 +213,16 @@ def drive_interval(
         call(np.uint64(integers[ROAD_ADVANCE]), block, word, road)
         call(np.uint64(integers[CAR_FOLLOW]), block, word, own)
         word += np.uint64(4 * LANES * integers[ROAD_WORDS])
+    call(np.uint64(integers[CAR_CLOSE]), block, word, own)
 
 
 @compiled
-def make_scratch(state: Any, numbers: Any) -> Any:
-    """Scratch for one block, with the constants of `grip_road` and `follow_road` in place."""
+def make_scratch(state: Any, integers: Any, numbers: Any) -> Any:
+    """Scratch for one block, with the constants of the car's functions in place."""
     scratch = np.zeros(SCRATCH, state.dtype)
     scratch[CONSTANT] = numbers[SUBSTEP]
     scratch[CONSTANT + 1] = 1.0 / numbers[SUBSTEP]
+    scratch[CONSTANT + 2] = 1.0 / integers[SUBSTEPS]
     return scratch
 
 
@@ -319,26 +355,54 @@ def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count
 
 
 @compiled
-def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results: Any, first: int, count: int) -> None:
-    """Write reward, mean squares, damping and operating point of the finished interval."""
+def first_unsound(rows: Any) -> int:
+    """The first column of ``rows`` with a number that is not finite, or -1."""
+    nothing = like(rows, 0.0)
+    for k in range(rows.shape[0]):
+        row, total = rows[k], nothing
+        for i in range(row.size):
+            total += row[i] - row[i]  # 0, but NaN where it is not finite
+        if total != nothing:
+            for i in range(row.size):
+                if not np.isfinite(row[i]):
+                    return i
+    return -1
+
+
+@compiled
+def unsound_start(lanes: Any, first: int, count: int) -> Any:
+    """The first environment of a block whose road or car is not finite, or -1."""
+    found = first_unsound(lanes[LEVEL:RATE].reshape(-1, LANES)[:, :count])
+    return found if found < 0 else first + found
+
+
+@compiled
+def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results: Any, first: int, count: int) -> Any:
+    """Write reward, mean squares, damping and operating point of the finished interval.
+
+    Returns:
+        The first environment of the block in which a mean square or the reward is not finite, or -1. The squares hold the whole
+        state of the car and the level, so it is finite where they are.
+    """
     reward = results[REWARD, first : first + count]
     reward[:] = like(lanes, 0.0)
-    share = like(lanes, 1.0 / integers[SUBSTEPS])
     for k in range(5):
-        squares = results[RESULT_SQUARE + k, first : first + count]
-        sums = scratch[SQUARE + k * LANES : SQUARE + k * LANES + count]
+        means = results[RESULT_SQUARE + k, first : first + count]
+        found = scratch[SQUARE + k * LANES : SQUARE + k * LANES + count]
         for i in range(count):
-            squares[i] = share * sums[i]
+            means[i] = found[i]
         weight = like(lanes, numbers[WEIGHT + k])
         if weight != 0.0:  # a weight of zero takes no part: its mean square may be meaningless on this road
             for i in range(count):
-                reward[i] -= weight * squares[i]
+                reward[i] -= weight * means[i]
+    unsound = first_unsound(results[: RESULT_SQUARE + 5, first : first + count])
     if integers[HAS_SLOPE] == 0:
         results[RESULT_SQUARE + 2, first : first + count] = np.inf
         results[RESULT_SQUARE + 4, first : first + count] = np.inf
     copy_row(scratch, DAMPING, results, RESULT_DAMPING, first, count)
     copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
     copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+    return unsound if unsound < 0 else first + unsound
 
 
 @compiled
@@ -357,11 +421,16 @@ def step_blocks(
     results: Any,
     truncated: Any,
     final_observations: Any,
-) -> None:
-    """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring."""
+) -> int:
+    """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring.
+
+    Returns:
+        The first environment in which a number is not finite, or -1.
+    """
+    unsound = -1
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = make_scratch(state, numbers)
+    scratch = make_scratch(state, integers, numbers)
     due = np.zeros(LANES, np.bool_)
     nothing_forced = np.empty((2, 0))
     low, high = like(state, numbers[DAMPING_LOW]), like(state, numbers[DAMPING_HIGH])
@@ -375,7 +444,9 @@ def step_blocks(
         for i in range(count):
             scratch[DAMPING + i] = clip(like(state, actions[first + i]), low, high)
         drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, INTERVAL)
-        report_block(lanes, scratch, integers, numbers, results, first, count)
+        found = report_block(lanes, scratch, integers, numbers, results, first, count)
+        if unsound < 0:
+            unsound = found
 
         ended, pending = 0, 0
         for i in range(count):
@@ -384,6 +455,8 @@ def step_blocks(
             truncated[first + i] = over
             ended += over
             pending += counts[PENDING + i]
+        for i in range(count, LANES):  # lanes beyond the last environment need new noise too
+            counts[STEP + i] += np.uint32(1)
         if pending:  # these lanes moved, but what they did is thrown away: for them this step is the reset
             for i in range(count):
                 due[i] = counts[PENDING + i] != 0
@@ -401,10 +474,13 @@ def step_blocks(
             for i in range(count):
                 # a new episode has no action yet: its first observation is that of the softest damper, as after `reset`
                 scratch[DAMPING + i] = low if due[i] else clip(like(state, actions[first + i]), low, high)
+            if unsound < 0:
+                unsound = unsound_start(lanes, first, count)
         if mode == NEXT_STEP and ended:
             for i in range(count):
                 counts[PENDING + i] = truncated[first + i]
         observe_block(lanes, scratch, signals, numbers[SATURATION], observations, first, count)
+    return unsound
 
 
 @compiled
@@ -422,11 +498,16 @@ def reset_blocks(
     mask: Any,
     observations: Any,
     results: Any,
-) -> None:
-    """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all."""
+) -> int:
+    """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all.
+
+    Returns:
+        The first environment in which a number is not finite, or -1.
+    """
+    unsound = -1
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
-    scratch = make_scratch(state, numbers)
+    scratch = make_scratch(state, integers, numbers)
     due = np.zeros(LANES, np.bool_)
     for b in range(begin, end):
         lanes = state[b * SIZE : (b + 1) * SIZE]
@@ -440,7 +521,9 @@ def reset_blocks(
         for i in range(LANES):
             scratch[DAMPING + i] = numbers[DAMPING_LOW]
         observe_block(lanes, scratch, signals, numbers[SATURATION], observations, first, count)
-        for i in range(count):
-            results[RESULT_DAMPING, first + i] = scratch[DAMPING + i]
-            results[RESULT_SPEED, first + i] = lanes[SPEED + i]
-            results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
+        copy_row(scratch, DAMPING, results, RESULT_DAMPING, first, count)
+        copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
+        copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+        if unsound < 0:
+            unsound = unsound_start(lanes, first, count)
+    return unsound

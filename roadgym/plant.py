@@ -31,6 +31,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return _pools[key]
 
 
+class PlantError(ArithmeticError):
+    """A number of the plant is not finite: a component of one's own, or the range of a parameter, lets it grow without end."""
+
+
 class Plant:
     """``num_envs`` independent cars.
 
@@ -93,6 +97,7 @@ class Plant:
         integers[kernel.FILL_WORDS] = fill_words.address(np.uint32)
         integers[kernel.CAR_GRIP] = kernel.grip_road.address(self.dtype)
         integers[kernel.CAR_FOLLOW] = kernel.follow_road.address(self.dtype)
+        integers[kernel.CAR_CLOSE] = kernel.close_interval.address(self.dtype)
         if noise is not None:
             integers[kernel.SPEED_WORDS] = noise.words_per_substep
             integers[kernel.SPEED_START] = noise.start.address(self.dtype)
@@ -112,16 +117,25 @@ class Plant:
         self.__dict__.update(state)
         self._integers = self._make_integers()
 
-    def _run(self, function: Callable[..., None], *arguments: Any) -> None:
+    def _run(self, function: Callable[..., int], *arguments: Any) -> None:
+        """Run a function of the kernel over all blocks.
+
+        Raises:
+            PlantError: a number is not finite.
+        """
         if self.threads == 1:
-            function(0, self.blocks, *arguments)
-            return
-        edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
-        pool = _pool(self.threads)
-        futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
-        function(edges[0], edges[1], *arguments)
-        for future in futures:
-            future.result()
+            found = [function(0, self.blocks, *arguments)]
+        else:
+            edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
+            pool = _pool(self.threads)
+            futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
+            found = [function(edges[0], edges[1], *arguments), *(future.result() for future in futures)]
+        unsound = [environment for environment in found if environment >= 0]
+        if unsound:
+            raise PlantError(
+                f"environment {min(unsound)} of {self.num_envs} has left the numbers that {self.dtype} can hold; reset it, and "
+                f"look for what drove it there: {self.task}"
+            )
 
     def seed(self, seeds: npt.NDArray[np.uint64], mask: npt.NDArray[np.bool_]) -> None:
         """Give the masked environments new keys, shape (num_envs,) each, and start their count of episodes again."""
