@@ -74,7 +74,7 @@ class Plant:
         self._road_table = road.table().astype(self.dtype)
         speed_table = np.zeros(1) if noise is None else noise.table(substep, w1, road)
         self._speed_table = speed_table.astype(self.dtype)
-        self._numbers = np.zeros(kernel.NUMBERS)
+        self._numbers = np.zeros(kernel.SHARE + task.substeps + 1)
         self._numbers[: kernel.WEIGHT] = (
             substep,
             *task.damping_range,
@@ -83,7 +83,8 @@ class Plant:
             task.warm_up_damping,
             SATURATION,
         )
-        self._numbers[kernel.WEIGHT :] = task.weights
+        self._numbers[kernel.WEIGHT : kernel.SHARE] = task.weights
+        self._numbers[kernel.SHARE :] = kernel.interval_weights(task.substeps)
         self._integers = self._make_integers()
 
     def _make_integers(self) -> npt.NDArray[np.int64]:
@@ -97,7 +98,6 @@ class Plant:
         integers[kernel.FILL_WORDS] = fill_words.address(np.uint32)
         integers[kernel.CAR_GRIP] = kernel.grip_road.address(self.dtype)
         integers[kernel.CAR_FOLLOW] = kernel.follow_road.address(self.dtype)
-        integers[kernel.CAR_CLOSE] = kernel.close_interval.address(self.dtype)
         if noise is not None:
             integers[kernel.SPEED_WORDS] = noise.words_per_substep
             integers[kernel.SPEED_START] = noise.start.address(self.dtype)

@@ -167,7 +167,8 @@ def make_task(
         natural_frequency: w1 of the car, rad/s.
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
-            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 1.
+            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 1, but at least two,
+            without which the mean squares are off where D switches (`roadgym.kernel.interval_weights`).
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.
         precision: "float32" or "float64"; by default what the road needs.
@@ -228,7 +229,7 @@ def make_task(
         weights=tuple(weights[name] for name in MEAN_SQUARES),
         signals=tuple(names),
         control_interval=interval,
-        substeps=max(needed, 1) if substeps is None else whole("substeps", substeps),
+        substeps=max(needed, 2) if substeps is None else whole("substeps", substeps),
         warm_up=non_negative("warm_up", number("warm_up", warm_up)),
         warm_up_damping=stiffness,
         precision=the_road.precision if precision is None else precision,
