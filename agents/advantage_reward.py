@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from .advantage import advantage_forms, value_form
+from analysis.quadratic import plant_system, value_form
+
+from .advantage import advantage_forms
 from .operating_grid import NODES, OperatingGrid
 from .vec_env import QuarterCarVecEnv, damping_from_action
 
@@ -66,7 +68,7 @@ class AdvantageReward(VecEnvWrapper):
             self._node[new] = node[:, 0] * NODES + node[:, 1]
             reference = self._grid.damping[node[:, 0], node[:, 1]]
             task, (ratio, bandwidth) = self._envs.task, points.T
-            _, self._rho[new] = value_form(task, reference, ratio, bandwidth)
+            _, self._rho[new] = value_form(plant_system(task, reference, ratio, bandwidth), task.weights_by_name)
             forms, constants = advantage_forms(task, self._dampings, reference, ratio, bandwidth)
             twice = np.where(self._first == self._second, 1, 2)
             interval = task.control_interval * task.car.natural_frequency

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from roadgym.parameters import ParameterError
 from roadgym.task import OPERATING_POINT, Task
 
-from .advantage import advantage_forms, has_advantage
-from .controllers import STATE
+from .advantage import STATE, advantage_forms, has_advantage
 from .operating_grid import NODES, OperatingGrid
 
 FEATURES = ("signals", "products", "lookahead")

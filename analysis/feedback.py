@@ -49,9 +49,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES
 from roadgym.compiled import compiled
 from roadgym.kernel import RESULT_SQUARE, REWARD
+from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, positive, positive_range, whole
 from roadgym.plant import Plant
 from roadgym.reward import check_weights
@@ -60,7 +60,7 @@ from roadgym.task import Task, make_task
 
 from .checks import FloatArray
 from .optimum import DISPLACEMENT, optimal_damping
-from .response import covariance
+from .quadratic import interval_mean, plant_system
 
 SingleArray = npt.NDArray[np.float32]
 
@@ -466,8 +466,8 @@ def _geometry(
 class _Model:
     """The Markov chain of an operating point up to its second moments, and h0 of the best constant damping.
 
-    A quadratic form s'Ns + n is a vector of N's 16 entries and n; `_backward` gives the matrix that takes it to its
-    conditional mean.
+    Quadratic forms are vectors of 16 entries and a constant, and what takes one to its conditional mean after an interval is a
+    matrix, as in `analysis.quadratic.interval_mean`.
 
     Attributes:
         deviation: root mean squares of (Y, X) under the best constant damping, shape (2,).
@@ -477,12 +477,8 @@ class _Model:
     """
 
     def __init__(self, task: Task) -> None:
-        from scipy.linalg import expm
-
-        self._expm = expm
         self._task, self._road = task, task.road
         self._interval = task.control_interval * task.car.natural_frequency
-        self._ratio = float(task.frequency_ratio(task.speed[0]))
         best = optimal_damping(
             task.road,
             speed=task.speed[0],
@@ -490,21 +486,21 @@ class _Model:
             weights=task.weights_by_name,
             bounds=task.damping_range,
         )
-        backward, cost = self._backward(float(best.damping))
+        constant = self._system(float(best.damping))
+        backward, cost = self._backward(constant)
         value = np.append(np.linalg.solve(np.eye(16) - backward[:16, :16], cost[:16]), 0.0)
-        self.deviation = np.sqrt(np.diag(self._covariance(float(best.damping)))[:2])
+        self.deviation = np.sqrt(np.diag(constant.covariance())[:2])
 
         middle, half, rate = _variable(task.damping_range, self._interval)
         self.maps, self.gains, self.forms = np.empty((NODES, 2, 4)), np.empty((NODES, 2, 2)), np.empty((NODES, 11))
         upper = np.triu_indices(4)
         order = [0, 1, 4, 2, 3, 5, 6, 7, 8, 9]  # the upper triangle has yy, yz, yu after yx, and xx after them
         for k, damping in enumerate(-np.log1p(-(middle + half * NODE)) / rate):
-            step = expm(self._drift(damping) * self._interval)
-            total = self._covariance(damping)
-            noise = total - step @ total @ step.T  # mean of the conditional covariance
+            system = self._system(damping)
+            step, noise = system.transition(self._interval), system.step_covariance(self._interval)
             self.maps[k] = step[:2]
             self.gains[k] = noise[:2, 2:] @ np.linalg.inv(noise[2:, 2:])
-            backward, cost = self._backward(damping)
+            backward, cost = self._backward(system)
             form = cost + backward @ value - value
             matrix = form[:16].reshape(4, 4)
             both = matrix + matrix.T - np.diag(np.diag(matrix))
@@ -512,41 +508,14 @@ class _Model:
         self._turn = step[2:, 2:]
         self._second = backward[:, [10, 11, 15]]  # of zz, zu, uu; like the turn, whatever D
 
-    def _drift(self, damping: float) -> FloatArray:
-        """Matrix A of the drift A s."""
-        nu, twice = self._ratio, 2 * damping
-        filtered = -2 * self._task.bandwidth[0] * nu
-        return np.array([[0, 1, 0, 0], [-1, -twice, 1, twice * nu], [0, 0, 0, nu], [0, 0, -nu, filtered]])
+    def _system(self, damping: float) -> LinearSystem:
+        """The plant at a constant damping."""
+        return plant_system(self._task, damping, self._task.frequency_ratio(self._task.speed[0]), self._task.bandwidth[0])
 
-    def _covariance(self, damping: float) -> FloatArray:
-        """Stationary covariance of s."""
-        task = self._task
-        result = covariance(self._road, damping=damping, speed=task.speed[0], natural_frequency=task.car.natural_frequency)
-        return result / self._road.variance
-
-    def _backward(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """(conditional mean of a form over an interval, shape (17, 17); interval cost as a form, shape (17,))."""
-        drift, nu = self._drift(damping), self._ratio
-        one = np.eye(4)
-        generator = np.zeros((17, 17))
-        generator[:16, :16] = np.kron(drift.T, one) + np.kron(one, drift.T)
-        intensity = 4 * self._task.bandwidth[0] * nu
-        bounded = 1 / self._road.shape if isinstance(self._road, MultiplicativeRoad) else 0.0
-        generator[[10, 15], 15] -= intensity * bounded / 2  # uu gains by the noise, less where zz + uu is large
-        generator[16, 15] = intensity * (1 + bounded)
-
-        travel, relative = np.array([1.0, 0, -1, 0]), np.array([0, 1.0, 0, -nu])
-        acceleration = 2 * damping * relative + travel
-        signals = dict(zip(MEAN_SQUARES, (one[0], one[1], acceleration, travel, relative), strict=True))
-        weights = self._task.weights_by_name
-        # one row and column more integrate the squares over the interval
-        whole_interval = np.zeros((18, 18))
-        whole_interval[:17, :17] = generator
-        whole_interval[:16, 17] = sum(
-            weight * np.ravel(np.outer(signals[name], signals[name])) for name, weight in weights.items()
-        )
-        step = self._expm(whole_interval * self._interval)
-        return step[:17, :17], step[:17, 17] / self._interval
+    def _backward(self, system: LinearSystem) -> tuple[FloatArray, FloatArray]:
+        """(conditional mean of a form over an interval, mean cost over it as a form)."""
+        backward, cost = interval_mean(system, system.cost_form(self._task.weights_by_name), self._interval)
+        return backward, cost / self._interval
 
     def road_step(self, rings: int, rays: int) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64], SingleArray]:
         """(road, offset, index, weight) of `sweep`: the computed half of the polar grid, and the road's step from it."""
