@@ -340,7 +340,7 @@ def _resonances(
 
 
 def figure_8(full: bool = False, report: Report | None = None) -> Drawing:
-    """Resonance under white noise of growing intensity, D = 0.1; of the intensities 0.5 is not legible in the paper's figure."""
+    """Resonance under white noise of growing intensity, D = 0.1; 0.5 is not legible in the paper's figure."""
     figure, [[left, right]] = _panels(2, sharey=True)
     columns: dict[str, npt.ArrayLike] = {}
     cases: list[tuple[str, str, SpeedNoise | None]] = []
