@@ -184,7 +184,11 @@ def make_parser() -> argparse.ArgumentParser:
     explore.add_argument("--weights", type=_weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
 
     errata = _command(
-        commands, "errata", run_errata, "simulate what the paper has wrong, with both formulas", "roadgym errata --only forcing"
+        commands,
+        "errata",
+        run_errata,
+        "show where the paper errs: both formulas, and evidence",
+        "roadgym errata --only forcing",
     )
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
