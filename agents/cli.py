@@ -376,9 +376,9 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
     """``roadgym evaluate``."""
     from roadgym.task import make_task
 
-    from .comparison import observed_in_full, with_error
+    from .comparison import adjusted_by, observed_in_full, with_error
     from .controllers import make_controller
-    from .evaluation import Predictor, evaluate
+    from .evaluation import Predictor, evaluate, standard_error
     from .progress import work_progress
     from .training import load
 
@@ -407,17 +407,21 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
             "bandwidth": point.bandwidth,
             "cost": float(result.mean[k]),
             "standard_error": float(result.standard_error[k]),
+            "driven_cost": float(result.costs[k].mean()),
+            "driven_standard_error": float(standard_error(result.costs[k])),
             "switches": float(result.switches[k]),
         }
         for k, point in enumerate(result.points)
     ]
     if chosen.json:
-        print(json.dumps({"controller": name, "rows": rows}, indent=2))
+        print(json.dumps({"controller": name, "control_variates": result.control_variates, "rows": rows}, indent=2))
         return
     print("speed m/s  bandwidth            cost  switches 1/s")
     for row in rows:
         cost = with_error(row["cost"], row["standard_error"])
         print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
+    if result.control_variates:
+        print(adjusted_by(result.control_variates))
 
 
 def run_compare(chosen: argparse.Namespace) -> None:
