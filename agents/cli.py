@@ -207,7 +207,8 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--hyperparameters",
         metavar="FILE",
-        help="YAML file of hyperparameters, or the name of a shipped one: ppo_stacked, ppo_scheduling (the algorithm's own)",
+        help="YAML file of hyperparameters, or the name of a shipped one: ppo_plain, ppo_stacked, ppo_scheduling "
+        "(the algorithm's own)",
     )
     group.add_argument(
         "--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps"

@@ -23,6 +23,7 @@ from roadgym.task import Task, make_task
 
 from .controllers import Controller, OptimalFeedback, make_controller, optimum, theoretical_cost
 from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate
+from .features import has_lookahead
 from .training import Agent, make_folder, plain, versions, write_atomically
 
 RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook", "one_step_lookahead", "optimal_feedback")
@@ -457,6 +458,9 @@ def notes(comparison: Comparison) -> list[str]:
             "points alike, with negative shares too."
         )
     for name, seeds in comparison.agents.items():
+        given = theory_given(seeds[0])
+        if given is not None:
+            lines.append(f"{name} {given}")
         lines.append(
             f"{name}: mean of {len(seeds)} training seeds."
             if len(seeds) > 1
@@ -484,6 +488,20 @@ def columns(comparison: Comparison) -> list[tuple[str, str, list[str]]]:
             else:
                 found.append(("", "gain", [percent(row.gain) for row in rows]))
     return found
+
+
+def theory_given(agent: Predictor) -> str | None:
+    """What a trained agent was given of theory, in words; None of what was not trained here."""
+    if not isinstance(agent, Agent):
+        return None
+    reward = {
+        "advantage": "theory's advantage over the best constant damping, made from the full state whatever it observes",
+        "cost": "the cost",
+    }.get(agent.description.get("training_reward", ""))
+    if reward is None:  # of an agent that was trained before this was noted
+        return None
+    lookahead = has_lookahead(agent.task, agent.description["hyperparameters"].get("features", ()))
+    return f"learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
 
 
 def adjusted_by(control_variates: Sequence[float]) -> str:

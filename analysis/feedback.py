@@ -25,8 +25,9 @@ range. Often, not always, its minimum lies at an end. The coefficients, which ar
 feedback: they are interpolated, and minimised at the state met.
 
 *The criterion.* What a table says of itself is not a cost. Each feedback is driven on the plant, and the table refined until
-that no longer helps. Whatever the error of the table, the cost reported is that of a feedback that exists, so an upper bound of
-the least cost, up to its standard error.
+that no longer helps. Constant dampings drive over the same noise, and their exact costs take most of it out of the driven cost
+(`analysis.control_variates`). Whatever the error of the table, the cost reported is that of a feedback that exists, so an upper
+bound of the least cost, up to its standard error.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ LARGEST_RADIUS = 4.0  # end of the polar grid on roads without a nearer bound; b
 BOX = 5.0  # half the sides of the rectangle, in root mean squares of the car
 SWEEPS, CHECK, SETTLED = 400, 10, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
 LANES_DRIVEN, PIECE = 2560, 250  # cars driven together, and intervals between two looks at the standard error
-FEWEST_PIECES = 3  # a standard error is believed, and the remainder of a start is small, only over 150 time units
+FEWEST_PIECES = 3  # the adjusted error is soon small, and shorter drives adjust less well
 COMPARED = 0.005  # relative standard error of the costs, over common noise, by which grids are compared
 TRUSTED = 4.0  # times the tolerance by which the cost that a table expects may differ from the driven one
 

@@ -221,6 +221,7 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
     assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 0
     first = capsys.readouterr().out
     assert re.search(r"1\.5 +0\.1 ", first)
+    assert "agent learned from the cost, without theory's one-step lookahead" in first
     written = ["comparison.html", "comparison.json", "comparison.csv", "comparison.txt", "cost_over_speed.png", "policy.png"]
     assert {*written, "agent-0"} == {path.name for path in output.iterdir()}
     # the same command again finds its agent trained, and says the same
@@ -229,9 +230,13 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
     assert run("compare", "--agent", output / "agent-0", "--output", tmp_path / "again", "--json", *compared) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["controller"] == "agent"
     assert run("evaluate", "--agent", output / "agent-0", *options) == 0
-    assert "switches" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "switches" in said
+    assert "Constant dampings on the same roads, whose costs theory knows, serve as control variates" in said
     assert run("evaluate", "--controller", "skyhook", "--json", *options) == 0
-    assert json.loads(capsys.readouterr().out)["rows"][0]["standard_error"] > 0
+    said = json.loads(capsys.readouterr().out)
+    assert 0 < said["rows"][0]["standard_error"] < said["rows"][0]["driven_standard_error"]
+    assert said["control_variates"]
     # more seeds train beside the first one
     assert run("compare", "--output", output, "--seeds", 2, "--hyperparameters", hyperparameters, *compared) == 0
     assert "mean of 2 training seeds" in capsys.readouterr().out
