@@ -429,6 +429,13 @@ def percent(share: Share | None) -> str:
     return "n/a" if share is None else f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f}%"
 
 
+def above(share: Share) -> str:
+    """By how much a cost is above, or below, in per cent with half its confidence interval."""
+    if share.value >= 0:
+        return f"{percent(share)} above"
+    return f"{percent(Share(-share.value, -share.high, -share.low))} below"
+
+
 def weighted(task: Task) -> str:
     """The cost in words."""
     return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
@@ -526,8 +533,8 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
         place = f"nu = {comparison.task.frequency_ratio(gap.largest_at.speed):g}"
         place += f", delta = {gap.largest_at.bandwidth:g}" if gap.largest_at.bandwidth else ""
         text += (
-            f" Where there is none ({left} of {total} points), it costs {percent(gap.loss)} more than the best constant D on "
-            f"average, {percent(gap.largest_loss)} at worst ({place})."
+            f" Where there is none ({left} of {total} points), its cost is {above(gap.loss)} that of the best constant D on "
+            f"average, {above(gap.largest_loss)} at worst ({place})."
         )
     return text
 
