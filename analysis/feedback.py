@@ -25,8 +25,9 @@ range. Often, not always, its minimum lies at an end. The coefficients, which ar
 feedback: they are interpolated, and minimised at the state met.
 
 *The criterion.* What a table says of itself is not a cost. Each feedback is driven on the plant, and the table refined until
-that no longer helps. Whatever the error of the table, the cost reported is that of a feedback that exists, so an upper bound of
-the least cost, up to its standard error.
+that no longer helps. Constant dampings drive over the same noise, and their exact costs take most of it out of the driven cost
+(`analysis.control_variates`). Whatever the error of the table, the cost reported is that of a feedback that exists, so an upper
+bound of the least cost, up to its standard error.
 """
 
 from __future__ import annotations
@@ -59,18 +60,20 @@ from roadgym.roads import GaussianRoad, MultiplicativeRoad, Road, make_road
 from roadgym.task import Task, make_task
 
 from .checks import FloatArray
+from .control_variates import adjust, control_dampings, expected_squares, least_transient
 from .optimum import DISPLACEMENT, optimal_damping
 from .quadratic import interval_mean, plant_system
 
 SingleArray = npt.NDArray[np.float32]
 
-FORMAT = 1  # of the cached files; raise it whenever results change
+FORMAT = 2  # of the cached files; raise it whenever results change
 STATE = ("displacement", "velocity", "level", "slope")
 GRIDS = ((5, 16, 16), (6, 16, 24), (8, 24, 36), (11, 32, 54))  # rings, rays, and rows (as many columns), coarse to fine
 LARGEST_RADIUS = 4.0  # end of the polar grid on roads without a nearer bound; beyond lies 3e-4 of the Gaussian law
 BOX = 5.0  # half the sides of the rectangle, in root mean squares of the car
 SWEEPS, CHECK, SETTLED = 400, 10, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
 LANES_DRIVEN, PIECE = 2560, 250  # cars driven together, and intervals between two looks at the standard error
+FEWEST_PIECES = 3  # the adjusted error is soon small, and shorter drives adjust less well
 COMPARED = 0.005  # relative standard error of the costs, over common noise, by which grids are compared
 TRUSTED = 4.0  # times the tolerance by which the cost that a table expects may differ from the driven one
 
@@ -592,7 +595,7 @@ def _solve(
 
 @dataclasses.dataclass(frozen=True)
 class _Drive:
-    """Driven cost, its standard error, root mean squares of (Y, X), and the pieces it took."""
+    """Driven cost, adjusted by control variates, its standard error, root mean squares of (Y, X), and the pieces it took."""
 
     cost: float
     standard_error: float
@@ -613,35 +616,51 @@ def _drive(
 ) -> _Drive:
     """Drive a feedback for ``pieces``, or until the relative standard error is at most ``precision``.
 
-    A start at rest leaves exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4.
+    Constant dampings over the same noise serve as control variates, see `analysis.control_variates`. A start at rest leaves
+    exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4, and to far less for those.
     """
-    plant = Plant(task, LANES_DRIVEN, threads=threads)
     everyone = np.ones(LANES_DRIVEN, np.bool_)
-    plant.seed(noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64), everyone)
-    states, _ = plant.reset(plant.forced({}), everyone)
+    seeds = noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64)
+
+    def start() -> tuple[Plant, SingleArray]:
+        plant = Plant(task, LANES_DRIVEN, threads=threads)
+        plant.seed(seeds, everyone)
+        return plant, plant.reset(plant.forced({}), everyone)[0]
+
+    plant, states = start()
     columns = np.array([task.signals.index(name) for name in STATE])
     low, high = np.array(task.damping_range, np.float32)
     damping = np.empty(LANES_DRIVEN, np.float32)
     total, squares = np.zeros(LANES_DRIVEN), np.zeros(2)
+    forgotten = 5 / (task.damping_range[0] * task.car.natural_frequency)
+    skipped = math.ceil(max(forgotten, least_transient(task)) / task.control_interval)
+    constants = control_dampings(task, skipped * task.control_interval, LANES_DRIVEN)
+    expected = np.array(task.weights) @ expected_squares(task, constants, task.speed[0])
+    rivals = [start()[0] for _ in constants]
+    held = [np.full(LANES_DRIVEN, constant, np.float32) for constant in constants]
+    controls = np.zeros((len(constants), LANES_DRIVEN))
 
     def respond(seen: SingleArray) -> None:
         share(LANES_DRIVEN, lambda begin, end: evaluate(begin, end, seen, columns, *table, damping))
 
-    skipped = math.ceil(5 / (task.damping_range[0] * task.car.natural_frequency * task.control_interval))
     step, measured, mean, error = 0, 0, 0.0, math.inf
-    while error > precision * mean if pieces is None else measured < pieces * PIECE:
+    least = FEWEST_PIECES if pieces is None else pieces
+    while measured < least * PIECE or (pieces is None and error > precision * mean):
         for _ in range(PIECE if step >= skipped else skipped):
             respond(states)
             states, results, _, _ = plant.step(np.clip(damping, low, high, out=damping))
+            costs = [rival.step(constant)[1][REWARD] for rival, constant in zip(rivals, held, strict=True)]
             if step >= skipped:
                 total -= results[REWARD]
+                for control, cost in zip(controls, costs, strict=True):
+                    control -= cost
                 squares += np.mean(results[RESULT_SQUARE : RESULT_SQUARE + 2], axis=1, dtype=float)
                 measured += 1
             step += 1
         if measured:
-            mean = float(total.mean()) / measured
-            error = float(total.std(ddof=1)) / measured / math.sqrt(LANES_DRIVEN)
-            told(min((precision * mean / error) ** 2, 1.0) if pieces is None else measured / (pieces * PIECE))
+            adjusted = adjust(total / measured, controls / measured, expected)
+            mean, error = float(adjusted.mean()), float(adjusted.std(ddof=1)) / math.sqrt(LANES_DRIVEN)
+            told(min((precision * mean / error) ** 2, measured / (least * PIECE), 1.0))
     return _Drive(mean, error, np.sqrt(squares / measured), measured // PIECE)
 
 
