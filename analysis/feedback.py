@@ -740,7 +740,7 @@ def optimal_feedback(
     )
     tolerance, precision = within("tolerance", tolerance, "relative_error"), within("precision", precision, "relative_error")
     if whole("refinements", refinements) > len(GRIDS):
-        raise ParameterError(f"refinements must be at most {len(GRIDS)}, got {refinements}")
+        raise ParameterError(f"refinements must be at most {len(GRIDS)}, got {shown(refinements)}")
     whole("seed", seed, low=0, of="seed")
     if not (cache is None or isinstance(cache, (str, os.PathLike))):
         raise ParameterError(f"cache must be a folder or None, got {shown(cache)}")

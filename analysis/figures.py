@@ -93,12 +93,14 @@ def write(
     Raises:
         ParameterError: a figure that the paper does not have, or a folder that cannot be written.
     """
-    if numbers is not None and (isinstance(numbers, (str, bytes)) or not isinstance(numbers, Iterable)):
-        raise ParameterError(f"numbers must be of the figures {', '.join(map(str, FIGURES))}, got {shown(numbers)}")
-    chosen = list(FIGURES) if numbers is None else list(dict.fromkeys(whole("figure", number) for number in numbers))
+    try:
+        asked = list(FIGURES if numbers is None else numbers)
+    except Exception:  # whatever a foreign object may raise
+        raise ParameterError(f"numbers must be of the figures {', '.join(map(str, FIGURES))}, got {shown(numbers)}") from None
+    chosen = list(dict.fromkeys(whole("figure", number) for number in asked))
     for number in chosen:
         if number not in FIGURES:
-            raise ParameterError(f"figure must be one of {', '.join(map(str, FIGURES))}, got {number}")
+            raise ParameterError(f"figure must be one of {', '.join(map(str, FIGURES))}, got {shown(number)}")
     if not isinstance(folder, (str, os.PathLike)):
         raise ParameterError(f"folder must name a folder, got {shown(folder)}")
     target = Path(folder)

@@ -82,7 +82,7 @@ def optimal_damping(
     natural_frequency = within("natural_frequency", natural_frequency)
     relative_error = within("relative_error", relative_error)
     if speed_noise is not None:
-        speed_noise.check_range(natural_frequency)
+        speed_noise.check_range(natural_frequency, driven=driven)
     arrays = {"speed": checked_speed(speed, road, natural_frequency)}
     if bandwidth is not None:
         arrays["bandwidth"] = checked_bandwidth(bandwidth, road)

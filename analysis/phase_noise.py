@@ -179,11 +179,12 @@ def _levels(damping: FloatArray, corner: float, variance: float) -> int:
     One step shrinks it by about exp(-r/(spread sqrt(n))), r being the slowest rate of decay at level n and spread^2 = variance;
     the sum over n of either part of r, that of the car or n w_g, may do it. The 24 serves noise that is weak or fast.
     """
-    slowest = float(np.min(slowest_decay(damping)))
+    slowest = float(np.min(slowest_decay(damping), initial=1.0))
     spread = math.sqrt(variance)
     levels = 24 + math.ceil(1.1 * min((18 * spread / slowest) ** 2, float((54 * spread / corner) ** (2 / 3))))
     if levels > MOST_LEVELS:
+        softest = float(np.min(damping, initial=np.inf))
         raise ParameterError(
-            f"low_pass speed_noise must be weaker or faster at damping {np.min(damping):g}: its series needs {levels} terms"
+            f"low_pass speed_noise must be weaker or faster at damping {softest:g}: its series needs {levels} terms"
         )
     return levels

@@ -86,9 +86,9 @@ def mean_squares(
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
     natural_frequency = within("natural_frequency", natural_frequency)
-    if speed_noise is not None:
-        speed_noise.check_range(natural_frequency)
     driven = needs_simulation(road, speed_noise)
+    if speed_noise is not None:
+        speed_noise.check_range(natural_frequency, driven=driven)
     relative_error = within("relative_error", relative_error)
     arrays = {
         "damping": range_array("damping", damping, "damping" if driven else "constant damping"),
@@ -133,7 +133,7 @@ def checked_speed(speed: npt.ArrayLike, road: Road, natural_frequency: float) ->
 
 def checked_bandwidth(bandwidth: npt.ArrayLike, road: Road) -> FloatArray:
     """Bandwidths in place of the road's: on second-order roads, and not on an ellipse, whose variance each would change."""
-    result = range_array("bandwidth", bandwidth, "bandwidth")
+    result = range_array("bandwidth", bandwidth, "constant bandwidth")
     if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
         raise ParameterError(f"bandwidth must be None: a {road.kind} road has none")
     for other in result[result != road.bandwidth].flat[:1]:

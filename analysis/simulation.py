@@ -665,7 +665,13 @@ def simulate(
 
     systems = [_make_system(road, speed_noise, damping, value, w1, form) for value in speeds]
     for system in systems:
-        check_ratio("time_step", h, "it over the longest stable one", h / system.longest_step, "Euler step")
+        check_ratio(
+            "time_step",
+            h,
+            "it over the longest that is stable at this damping and speed",
+            h / system.longest_step,
+            "Euler step",
+        )
         work = samples + SETTLED * system.memory / h * lanes
         check_size("steps of all lanes", "samples, lanes and time_step", work * len(speeds), "work")
     blocks = lanes // LANES
@@ -857,7 +863,13 @@ def simulate_stability(
     check_ratio("intensity", intensity, "sigma/sqrt(w1)", strength, "relative intensity")
     h = within("time_step", time_step)
     turn = (ratio + 1 + 2 * damping) ** 2 + strength**4
-    check_ratio("time_step", h, "it over the longest stable one", h * max(turn, 40 * strength**2), "Euler step")
+    check_ratio(
+        "time_step",
+        h,
+        "it over the longest that is stable at this damping and speed",
+        h * max(turn, 40 * strength**2),
+        "Euler step",
+    )
     if whole("lanes", lanes, of="lanes") % (2 * LANES):
         raise ParameterError(f"lanes must be a multiple of {2 * LANES}, got {lanes}")
     whole("seed", seed, low=0, of="seed")

@@ -33,14 +33,16 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "natural_frequency": Range(1e-6, 1e6, "w1 of the car, rad/s"),
         "damping": Range(1e-3, 100.0, "damping ratio D of a plant that is driven, 1"),
         "constant damping": Range(1e-6, 1e6, "damping ratio D in closed forms, 1"),
-        "free damping": Range(0.0, 1e6, "damping ratio D of the free motion, 1"),
+        "free damping": Range(0.0, 1e12, "damping ratio D of the free motion, 1"),
         # roads
         "wavenumber": Range(1e-6, 1e6, "Omega of a road, rad/m"),
         "length": Range(1e-6, 1e6, "amplitude mu and bounds z0, u0 of a road, m"),
-        "noise_intensity": Range(1e-9, 1e9, "sigma of a road, m^(1/2)"),
+        "noise_intensity": Range(1e-9, 1e9, "sigma of a road, m^(1/2), and of a speed noise, rad/s^(1/2)"),
         "variance": Range(1e-14, 1e14, "E Z^2 of a road, m^2"),
-        "bandwidth": Range(1e-4, 100.0, "damping ratio delta of a road filter, 1"),
-        "shape": Range(0.02, 1e4, "alpha = 2 delta Omega u0^2/sigma^2 of a bounded road, 1"),
+        "bandwidth": Range(1e-4, 100.0, "damping ratio delta of the filter of a road that is driven, 1"),
+        "constant bandwidth": Range(1e-15, 1e6, "delta of a road in closed forms, 1"),
+        "shape": Range(0.02, 1e4, "alpha = 2 delta Omega u0^2/sigma^2 of a bounded road that is driven, 1"),
+        "constant shape": Range(1e-12, 1e12, "alpha in closed forms, 1"),
         "axes ratio": Range(0.2, 5.0, "u0/z0 of an ellipse, 1"),
         "ellipse bandwidth": Range(0.05, 10.0, "delta on an ellipse, whose variance is found by simulation, 1"),
         "ellipse shape": Range(0.3, 100.0, "alpha on an ellipse, 1"),
@@ -50,8 +52,11 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "moving speed": Range(1e-30, 1e30, "speed, m/s, above zero; likewise"),
         "any frequency ratio": Range(0.0, 1e4, "nu of a simulation of the paper's equations, 1"),
         "constant frequency ratio": Range(0.0, 1e6, "nu in closed forms, 1"),
-        "relative intensity": Range(1e-6, 10.0, "sigma/sqrt(w1) of a speed noise, rad"),
-        "relative corner": Range(1e-4, 1e3, "w_g/w1 of a speed noise, 1"),
+        "relative intensity": Range(1e-6, 10.0, "sigma/sqrt(w1) of a speed noise, on a plant that is driven, rad"),
+        "constant relative intensity": Range(1e-12, 1e6, "the same in closed forms"),
+        "relative corner": Range(1e-4, 1e3, "w_g/w1 of a speed noise, on a plant that is driven, 1"),
+        "constant relative corner": Range(1e-20, 1e20, "the same in closed forms"),
+        "corner_frequency": Range(1e-20, 1e20, "w_g of a speed noise, rad/s"),
         "free intensity": Range(0.0, 1e6, "sigma of the noise on the free motion, rad/s^(1/2)"),
         # the task
         "weight": Range(1e-12, 1e12, "weight of a mean square in the reward, or 0; 1"),
@@ -102,11 +107,11 @@ def shown(value: Any) -> str:
 
 
 def number(name: str, value: Any) -> float:
-    """``value`` as a finite float."""
+    """``value`` as a finite float; a numeral, as a command line or a file gives it, is a number too."""
     if isinstance(value, float):  # also NumPy's own
         result = float(value)
-    elif isinstance(value, (bool, np.bool_, str, bytes, bytearray, np.ma.MaskedArray)) or (
-        isinstance(value, (np.ndarray, np.generic)) and (value.ndim or value.dtype.kind not in "iuf")
+    elif isinstance(value, (bool, np.bool_, bytes, bytearray, np.ma.MaskedArray)) or (
+        isinstance(value, (np.ndarray, np.generic)) and (value.ndim or value.dtype.kind not in "iufU")
     ):
         raise ParameterError(f"{name} must be a number, got {shown(value)}")
     else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +15,7 @@ from numba.core.errors import NumbaError
 from . import kernel
 from .compiled import LANES, SIZE, LaneFunction
 from .noise import fill_words, keys_from_seeds
-from .parameters import ParameterError, check_ratio, number_array, shown, whole
+from .parameters import ParameterError, number_array, shown, within
 from .roads import Road
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
@@ -38,31 +37,6 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 PADDING = 4096  # numbers after a table, all NaN: what reads beyond its end shows, and reads nobody else's memory
 
 
-def check_component(component: Road | SpeedNoise) -> None:
-    """Check what a road or a speed noise of one's own says of itself.
-
-    Raises:
-        ParameterError: words, variance or lane functions that are none.
-    """
-    name = f"{component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
-    whole(f"words_per_substep of the {name}", component.words_per_substep, low=0, of="words of a component")
-    functions = {"start": component.start, "advance": component.advance}
-    if isinstance(component, Road):
-        check_ratio(f"the {name}", component, "its variance E Z^2", _number(component.variance), "variance")
-        if component.precision not in ("float32", "float64"):
-            raise ParameterError(f'precision of the {name} must be "float32" or "float64", got {shown(component.precision)}')
-        if component.prepare is not None:
-            functions["prepare"] = component.prepare
-    for role, function in functions.items():
-        if not isinstance(function, LaneFunction):
-            raise ParameterError(f"{role} of the {name} must be a LaneFunction, got {shown(function)}")
-
-
-def _number(value: Any) -> float:
-    """NaN for what is no number, so that no range holds it."""
-    return float(value) if isinstance(value, (int, float, np.integer, np.floating)) else math.nan
-
-
 def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     """The constants of a component for compiled code, with `PADDING` after them.
 
@@ -74,7 +48,11 @@ def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any])
     row = number_array(name, table) if isinstance(component, Road) else np.asarray(table, np.float64)
     if row.ndim != 1 or row.size == 0:
         raise ParameterError(f"{name} must be one row of numbers, got the shape {row.shape}")
-    return np.concatenate([row, np.full(PADDING, np.nan)]).astype(dtype)
+    with np.errstate(over="ignore"):
+        constants = row.astype(dtype)
+    if np.any(np.isinf(constants) & np.isfinite(row)):
+        raise ParameterError(f"{name} must have numbers that {dtype} holds, up to {np.finfo(dtype).max:.2g}")
+    return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
 
 
 class Plant:
@@ -113,12 +91,11 @@ class Plant:
         w1, road = task.car.natural_frequency, task.road
         substep = task.control_interval * w1 / task.substeps
         noise = task.speed_noise
-        check_component(road)
+        within(f"variance of the {road.kind} road", road.variance, "variance")
         self._road_table = padded_table(road, road.table(), self.dtype)
         if noise is None:
             self._speed_table = np.zeros(1, self.dtype)
         else:
-            check_component(noise)
             self._speed_table = padded_table(noise, noise.table(substep, w1, road), self.dtype)
         self._numbers = np.zeros(kernel.NUMBERS)
         self._numbers[: kernel.WEIGHT] = (

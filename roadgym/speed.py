@@ -103,12 +103,18 @@ class SpeedNoise(abc.ABC):
                 f"on a {road.kind} road use low_pass speed noise or none"
             )
 
-    def check_range(self, natural_frequency: float) -> None:
-        """Raise `ParameterError` unless intensity and corner frequency are in their ranges on a car of this w1, rad/s."""
+    def check_range(self, natural_frequency: float, *, driven: bool = True) -> None:
+        """Raise `ParameterError` unless intensity and corner frequency are in their ranges on a car of this w1, rad/s.
+
+        Those of a plant that is ``driven`` are narrower than those of closed forms.
+        """
+        kind = "" if driven else "constant "
         relative = self.intensity / math.sqrt(natural_frequency)
-        check_ratio("intensity", self.intensity, "sigma/sqrt(w1)", relative, "relative intensity")
+        check_ratio("intensity", self.intensity, "sigma/sqrt(w1)", relative, f"{kind}relative intensity")
         if self.rates[0] > 0:
-            check_ratio("corner_frequency", self.rates[0], "w_g/w1", self.rates[0] / natural_frequency, "relative corner")
+            check_ratio(
+                "corner_frequency", self.rates[0], "w_g/w1", self.rates[0] / natural_frequency, f"{kind}relative corner"
+            )
 
     def table(self, interval: float, natural_frequency: float, road: Road) -> npt.NDArray[np.float64]:
         """Constants for a substep of ``interval``, in units of 1/natural_frequency."""
@@ -190,7 +196,7 @@ class LowPassSpeedNoise(SpeedNoise):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, corner_frequency="natural_frequency")
+        check_fields(self, corner_frequency="corner_frequency")
 
     @property
     def rates(self) -> tuple[float, float, float]:
@@ -212,7 +218,7 @@ class HighPassSpeedNoise(SpeedNoise):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, corner_frequency="natural_frequency")
+        check_fields(self, corner_frequency="corner_frequency")
 
     @property
     def rates(self) -> tuple[float, float, float]:
@@ -233,7 +239,7 @@ def make_speed_noise(speed_noise: str | Mapping[str, Any] | SpeedNoise | None, r
     Raises:
         ParameterError: unknown kind or parameter, a value out of range, or a noise that is not defined on ``road``.
     """
-    if speed_noise is None or speed_noise == "none":
+    if speed_noise is None or (isinstance(speed_noise, str) and speed_noise == "none"):
         return None
     noise = make_component("speed noise", speed_noise, SpeedNoise, SPEED_NOISES)  # type: ignore[type-abstract]
     noise.check_road(road)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from .car import MEAN_SQUARES, QuarterCar
+from .compiled import LaneFunction
 from .kernel import SIGNALS
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
 from .reward import check_weights, divergent_terms
@@ -101,6 +102,27 @@ def _observable(road: Road, speed_noise: SpeedNoise | None, bandwidth: tuple[flo
     if bandwidth[1] == 0:
         names.remove("bandwidth")
     return names
+
+
+def check_component(component: Road | SpeedNoise | None) -> None:
+    """Check the number of words and the lane functions of a road or a speed noise, which may be somebody's own.
+
+    Raises:
+        ParameterError: what is none of these.
+    """
+    if component is None:
+        return
+    name = f"the {component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
+    whole(f"words_per_substep of {name}", component.words_per_substep, low=0, of="words of a component")
+    functions = {"start": component.start, "advance": component.advance}
+    if isinstance(component, Road):
+        if not (isinstance(component.precision, str) and component.precision in ("float32", "float64")):
+            raise ParameterError(f'precision of {name} must be "float32" or "float64", got {shown(component.precision)}')
+        if component.prepare is not None:
+            functions["prepare"] = component.prepare
+    for role, function in functions.items():
+        if not isinstance(function, LaneFunction):
+            raise ParameterError(f"{role} of {name} must be a LaneFunction, got {shown(function)}")
 
 
 def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, speed: float, bandwidth: float = 0.0) -> float:
@@ -265,13 +287,16 @@ def make_task(
     """
     the_road = make_road(road)
     noise = make_speed_noise(speed_noise, the_road)
+    for component in (the_road, noise):
+        check_component(component)
+    the_road.check_driven()
     car = QuarterCar(natural_frequency=within("natural_frequency", natural_frequency))
     w1 = car.natural_frequency
     speeds = positive_range("speed", speed)
     check_plant(the_road, noise, speeds, w1)
     own = getattr(the_road, "bandwidth", None)
     if bandwidth is None:
-        bandwidths = (own, own) if own is not None else (0.0, 0.0)
+        bandwidths = (0.0, 0.0) if own is None else positive_range("bandwidth", own, "bandwidth")
     else:
         bandwidths = positive_range("bandwidth", bandwidth, "bandwidth")
         for end in bandwidths:

@@ -31,9 +31,10 @@ class Road(abc.ABC):
     - ``advance``, of a whole block: moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets
       LEVEL_EXCESS.
 
-    What a component says of itself is checked when a plant is made of it (`roadgym.plant.check_component`). Lane functions are
-    trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one that reads a little
-    too far gives NaN, which is detected; one that reads or writes far off, or more words than it asked for, breaks the process.
+    What a component says of itself is checked when it is used (`roadgym.task.check_component`, `roadgym.plant.Plant`). Lane
+    functions are trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one that
+    reads a little too far gives NaN, which is detected; one that reads or writes far off, or more words than it asked for,
+    breaks the process.
     """
 
     kind: str = dataclasses.field(default="", init=False)
@@ -58,6 +59,9 @@ class Road(abc.ABC):
     def precision(self) -> str:
         """Floating-point format that the road's law needs at least: "float32" or "float64"."""
         return "float32"
+
+    def check_driven(self) -> None:  # noqa: B027  (most roads that exist can be driven)
+        """Raise `ParameterError` for a road that theory knows, and that cannot be driven."""
 
     def table(self) -> npt.NDArray[np.float64]:
         """Constants for the lane functions, the same for every lane."""

@@ -92,7 +92,7 @@ class GaussianRoad(Road):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, bandwidth="bandwidth", noise_intensity="noise_intensity")
+        check_fields(self, bandwidth="constant bandwidth", noise_intensity="noise_intensity")
         check_variance(self, "noise_intensity")
 
     @property
@@ -102,6 +102,6 @@ class GaussianRoad(Road):
 
     def with_bandwidth(self, bandwidth: float) -> GaussianRoad:
         """The same road with another bandwidth and the same variance."""
-        bandwidth = within("bandwidth", bandwidth)
+        bandwidth = within("bandwidth", bandwidth, "constant bandwidth")
         scale = math.sqrt(bandwidth / self.bandwidth)
         return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)

@@ -308,11 +308,11 @@ class MultiplicativeRoad(Road):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, bandwidth="bandwidth", noise_intensity="noise_intensity", level_bound="length")
+        check_fields(self, bandwidth="constant bandwidth", noise_intensity="noise_intensity", level_bound="length")
         if self.slope_bound is not None:
             check_fields(self, slope_bound="length")
-        ellipse = "" if self.is_circle else "ellipse "
-        check_ratio("noise_intensity", self.noise_intensity, "the shape alpha", self.shape, f"{ellipse}shape")
+        shapes = "constant shape" if self.is_circle else "ellipse shape"
+        check_ratio("noise_intensity", self.noise_intensity, "the shape alpha", self.shape, shapes)
         if self.slope_bound is not None and not self.is_circle:
             check_ratio("slope_bound", self.slope_bound, "u0/z0", self.slope_bound / self.level_bound, "axes ratio")
             within("bandwidth on an ellipse", self.bandwidth, "ellipse bandwidth")
@@ -322,8 +322,10 @@ class MultiplicativeRoad(Road):
         cls, *, shape: float, bandwidth: float = 0.1, level_bound: float = 1.0, wavenumber: float = 1.0
     ) -> MultiplicativeRoad:
         """The road on a circle whose density (11) has the shape alpha: sigma^2 = 2 delta Omega r0^2 / alpha."""
-        shape, level_bound = within("shape", shape), within("level_bound", level_bound, "length")
-        square = 2 * within("bandwidth", bandwidth) * within("wavenumber", wavenumber) * level_bound**2 / shape
+        shape, level_bound = within("shape", shape, "constant shape"), within("level_bound", level_bound, "length")
+        square = (
+            2 * within("bandwidth", bandwidth, "constant bandwidth") * within("wavenumber", wavenumber) * level_bound**2 / shape
+        )
         return cls(bandwidth=bandwidth, noise_intensity=math.sqrt(square), level_bound=level_bound, wavenumber=wavenumber)
 
     @property
@@ -362,6 +364,10 @@ class MultiplicativeRoad(Road):
         """Below alpha = 1 the path touches the bound, and 1 - r^2/r0^2 needs more digits than single precision has."""
         return "float64" if self.shape < 1 else "float32"
 
+    def check_driven(self) -> None:
+        """The table of the scheme is right for a range of shapes."""
+        check_ratio("noise_intensity", self.noise_intensity, "the shape alpha", self.shape, "shape")
+
     @property
     def loss_range(self) -> str:  # type: ignore[override]
         """The scheme for small shapes takes the longer, the less is lost in a substep."""
@@ -391,7 +397,7 @@ class MultiplicativeRoad(Road):
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
         """The same road with another bandwidth, and the same shape and variance; circles only."""
-        bandwidth = within("bandwidth", bandwidth)
+        bandwidth = within("bandwidth", bandwidth, "constant bandwidth")
         if not self.is_circle:
             if bandwidth == self.bandwidth:
                 return self
