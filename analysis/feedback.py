@@ -524,7 +524,7 @@ class _Model:
 
     def _backward(self, damping: float) -> tuple[FloatArray, FloatArray]:
         """(conditional mean of a form over an interval, shape (17, 17); interval cost as a form, shape (17,))."""
-        drift, nu, substeps = self._drift(damping), self._ratio, self._task.substeps
+        drift, nu = self._drift(damping), self._ratio
         one = np.eye(4)
         generator = np.zeros((17, 17))
         generator[:16, :16] = np.kron(drift.T, one) + np.kron(one, drift.T)
@@ -532,18 +532,19 @@ class _Model:
         bounded = 1 / self._road.shape if isinstance(self._road, MultiplicativeRoad) else 0.0
         generator[[10, 15], 15] -= intensity * bounded / 2  # uu gains by the noise, less where zz + uu is large
         generator[16, 15] = intensity * (1 + bounded)
-        step = self._expm(generator * (self._interval / substeps))
 
         travel, relative = np.array([1.0, 0, -1, 0]), np.array([0, 1.0, 0, -nu])
         acceleration = 2 * damping * relative + travel
         signals = dict(zip(MEAN_SQUARES, (one[0], one[1], acceleration, travel, relative), strict=True))
         weights = self._task.weights_by_name
-        rate = np.append(sum(weight * np.outer(signals[name], signals[name]) for name, weight in weights.items()), 0.0)
-        cost = np.zeros(17)
-        for _ in range(substeps):  # the environment adds up the squares at the ends of the substeps
-            rate = step @ rate
-            cost += rate / substeps
-        return np.linalg.matrix_power(step, substeps), cost
+        # one row and column more integrate the squares over the interval
+        whole_interval = np.zeros((18, 18))
+        whole_interval[:17, :17] = generator
+        whole_interval[:16, 17] = sum(
+            weight * np.ravel(np.outer(signals[name], signals[name])) for name, weight in weights.items()
+        )
+        step = self._expm(whole_interval * self._interval)
+        return step[:17, :17], step[:17, 17] / self._interval
 
     def road_step(self, rings: int, rays: int) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64], SingleArray]:
         """(road, offset, index, weight) of `sweep`: the computed half of the polar grid, and the road's step from it."""

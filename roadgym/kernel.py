@@ -5,8 +5,12 @@ Data flow of one control interval, for each block of LANES lanes (see `roadgym.c
 1. clip the actions to the damping range and compute the car's free decay over one substep;
 2. draw all random words of the interval, a pure function of (seed, episode, step);
 3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, the squares add up;
-4. observe, add up the reward from the mean squares, count the step;
+4. add up the reward from the mean squares, count the step, observe;
 5. lanes whose episode is over start anew, one by one.
+
+The mean square of an interval is that of its integral, by Gregory's rule over the ends of the substeps (`interval_weights`).
+The acceleration jumps with the damping: its square at the beginning counts with the new damping. Nothing that is not finite
+leaves unseen: the functions that step and reset tell the first environment in which a number is not.
 
 What differs between plants is only which lane functions are called, by address, and how many words they take. Nothing depends
 on how blocks are shared out between threads. The integers and numbers that describe a plant are two arrays, indexed by the
@@ -18,6 +22,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from .car import free_decay
 from .compiled import (
@@ -35,6 +40,7 @@ from .compiled import (
     LaneFunction,
     call,
     compiled,
+    inlined,
     like,
 )
 from .noise import INTERVAL, START, WARM_UP, philox, uniform
@@ -73,7 +79,23 @@ NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
     SATURATION,
     WEIGHT,  # first of five
 ) = range(10)
-NUMBERS = WEIGHT + 5
+SHARE = WEIGHT + 5  # first of one a substep and one more: the shares of the instants in the mean squares of an interval
+
+
+def interval_weights(substeps: int) -> npt.NDArray[np.float64]:
+    """Shares of the ends of ``substeps`` equal substeps in a mean over the interval, shape (substeps + 1,); their sum is 1.
+
+    Gregory's rule with second differences, exact for cubics; 1/6, 4/6, 1/6 for two substeps, and the trapezoidal rule for one.
+    Source: F. B. Hildebrand, Introduction to Numerical Analysis, 1974, section 5.9.
+    """
+    weights = np.ones(substeps + 1)
+    if substeps > 1:
+        weights[:3] += (-5 / 8, 1 / 6, -1 / 24)
+        weights[-3:] += (-1 / 24, 1 / 6, -5 / 8)
+    else:
+        weights -= 0.5
+    return weights / substeps
+
 
 # rows of the counters of a block; the first four are what `noise.fill_words` expects
 KEY, EPISODE, STEP, PENDING = 0 * LANES, 2 * LANES, 3 * LANES, 4 * LANES
@@ -82,9 +104,10 @@ COUNTERS = 5 * LANES
 # rows of the scratch of a block
 PREVIOUS_LEVEL, DAMPING = 0 * LANES, 1 * LANES
 DECAY_11, DECAY_12, DECAY_22 = 2 * LANES, 3 * LANES, 4 * LANES
-SQUARE = 5 * LANES  # sums of squares, five rows, in the order of car.MEAN_SQUARES
+SQUARE = 5 * LANES  # mean squares of the interval so far, five rows, in the order of car.MEAN_SQUARES
 SIGNAL = 10 * LANES  # nine rows, in the order of SIGNALS
-CONSTANT = 19 * LANES  # the substep and its inverse
+COST, SOUND = SIGNAL, SIGNAL + LANES  # of the finished interval, until the signals are needed
+CONSTANT = 19 * LANES  # the substep, its inverse, and the share of this instant in the mean squares
 SCRATCH = 20 * LANES
 SIGNALS = (
     "displacement",
@@ -102,27 +125,38 @@ SIGNALS = (
 REWARD, RESULT_SQUARE, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, RESULTS = 0, 1, 6, 7, 8, 9
 
 
+@inlined
+def squares(y: Any, x: Any, z: Any, slope: Any, resistance: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """The squares at an instant, in the order of `car.MEAN_SQUARES`; ``slope`` is that in time."""
+    travel, relative = y - z, x - slope
+    acceleration = resistance * relative + travel
+    return y * y, x * x, acceleration * acceleration, travel * travel, relative * relative
+
+
 @LaneFunction
 def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """Prepare the car for an interval: free decay over a substep at the damping of each lane, sums of squares zero."""
-    interval, zero = scratch[CONSTANT], like(lanes, 0.0)
+    """Prepare the car for an interval: free decay over a substep at the damping of each lane, and the squares now."""
+    interval, share, two = scratch[CONSTANT], scratch[CONSTANT + 2], like(lanes, 2.0)
     for i in range(LANES):
         phi_11, phi_12, phi_22 = free_decay(scratch[DAMPING + i], interval, lanes)
         scratch[DECAY_11 + i] = phi_11
         scratch[DECAY_12 + i] = phi_12
         scratch[DECAY_22 + i] = phi_22
-        scratch[PREVIOUS_LEVEL + i] = lanes[LEVEL + i]
-        scratch[SQUARE + i] = zero
-        scratch[SQUARE + LANES + i] = zero
-        scratch[SQUARE + 2 * LANES + i] = zero
-        scratch[SQUARE + 3 * LANES + i] = zero
-        scratch[SQUARE + 4 * LANES + i] = zero
+    for i in range(LANES):
+        z, slope = lanes[LEVEL + i], lanes[RATE + i] * lanes[SLOPE + i]
+        scratch[PREVIOUS_LEVEL + i] = z
+        yy, xx, aa, tt, rr = squares(lanes[DISPLACEMENT + i], lanes[VELOCITY + i], z, slope, two * scratch[DAMPING + i])
+        scratch[SQUARE + i] = share * yy
+        scratch[SQUARE + LANES + i] = share * xx
+        scratch[SQUARE + 2 * LANES + i] = share * aa
+        scratch[SQUARE + 3 * LANES + i] = share * tt
+        scratch[SQUARE + 4 * LANES + i] = share * rr
 
 
 @LaneFunction
 def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
-    """One substep of the car (see `roadgym.car`); adds the squares at its end to their sums over the interval."""
-    rate, two = scratch[CONSTANT + 1], like(lanes, 2.0)
+    """One substep of the car (see `roadgym.car`); adds the squares at its end to the means over the interval."""
+    rate, share, two = scratch[CONSTANT + 1], scratch[CONSTANT + 2], like(lanes, 2.0)
     for i in range(LANES):
         resistance = two * scratch[DAMPING + i]
         old_z, z, excess = scratch[PREVIOUS_LEVEL + i], lanes[LEVEL + i], lanes[LEVEL_EXCESS + i]
@@ -134,14 +168,12 @@ def follow_road(lanes: Any, words: Any, scratch: Any) -> None:
         lanes[DISPLACEMENT + i] = y
         lanes[VELOCITY + i] = x
         scratch[PREVIOUS_LEVEL + i] = z
-        travel = y - z
-        relative = x - lanes[RATE + i] * lanes[SLOPE + i]
-        acceleration = resistance * relative + travel
-        scratch[SQUARE + i] += y * y
-        scratch[SQUARE + LANES + i] += x * x
-        scratch[SQUARE + 2 * LANES + i] += acceleration * acceleration
-        scratch[SQUARE + 3 * LANES + i] += travel * travel
-        scratch[SQUARE + 4 * LANES + i] += relative * relative
+        yy, xx, aa, tt, rr = squares(y, x, z, lanes[RATE + i] * lanes[SLOPE + i], resistance)
+        scratch[SQUARE + i] += share * yy
+        scratch[SQUARE + LANES + i] += share * xx
+        scratch[SQUARE + 2 * LANES + i] += share * aa
+        scratch[SQUARE + 3 * LANES + i] += share * tt
+        scratch[SQUARE + 4 * LANES + i] += share * rr
 
 
 @compiled
@@ -160,16 +192,18 @@ def drive_interval(
     road_table: Any,
     speed_table: Any,
     integers: Any,
+    numbers: Any,
     purpose: int,
 ) -> None:
-    """Drive one block through one control interval; leaves the sums of squares in the scratch."""
+    """Drive one block through one control interval; leaves the mean squares in the scratch."""
     substeps = integers[SUBSTEPS]
     words_per_substep = integers[ROAD_WORDS] + integers[SPEED_WORDS]
     draw_words(words, counters, integers, purpose, substeps * words_per_substep)
     block, word, own = lanes.ctypes.data, words.ctypes.data, scratch.ctypes.data
     road, speed = road_table.ctypes.data, speed_table.ctypes.data
+    scratch[CONSTANT + 2] = numbers[SHARE]
     call(np.uint64(integers[CAR_GRIP]), block, word, own)
-    for _ in range(substeps):
+    for k in range(substeps):
         if integers[SPEED_ADVANCE] != 0:
             call(np.uint64(integers[SPEED_ADVANCE]), block, word, speed)
             if integers[ROAD_PREPARE] != 0:
@@ -177,13 +211,14 @@ def drive_interval(
                     call(np.uint64(integers[ROAD_PREPARE]), block + np.uint64(lanes.itemsize * i), word, road)
             word += np.uint64(4 * LANES * integers[SPEED_WORDS])
         call(np.uint64(integers[ROAD_ADVANCE]), block, word, road)
+        scratch[CONSTANT + 2] = numbers[SHARE + 1 + k]
         call(np.uint64(integers[CAR_FOLLOW]), block, word, own)
         word += np.uint64(4 * LANES * integers[ROAD_WORDS])
 
 
 @compiled
 def make_scratch(state: Any, numbers: Any) -> Any:
-    """Scratch for one block, with the constants of `grip_road` and `follow_road` in place."""
+    """Scratch for one block, with the constants of the car's functions in place."""
     scratch = np.zeros(SCRATCH, state.dtype)
     scratch[CONSTANT] = numbers[SUBSTEP]
     scratch[CONSTANT + 1] = 1.0 / numbers[SUBSTEP]
@@ -264,7 +299,7 @@ def restart_due(
         kept, kept_counters = lanes.copy(), counters.copy()
         scratch[DAMPING : DAMPING + LANES] = like(lanes, numbers[WARM_UP_DAMPING])
         for _ in range(integers[WARM_UP_STEPS]):
-            drive_interval(lanes, scratch, counters, words, road_table, speed_table, integers, WARM_UP)
+            drive_interval(lanes, scratch, counters, words, road_table, speed_table, integers, numbers, WARM_UP)
             for i in range(LANES):
                 counters[STEP + i] += np.uint32(1)
         counters[:] = kept_counters
@@ -319,26 +354,46 @@ def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count
 
 
 @compiled
-def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results: Any, first: int, count: int) -> None:
-    """Write reward, mean squares, damping and operating point of the finished interval."""
-    reward = results[REWARD, first : first + count]
-    reward[:] = like(lanes, 0.0)
-    share = like(lanes, 1.0 / integers[SUBSTEPS])
+def first_unsound(rows: Any, width: int) -> int:
+    """The first of ``width`` columns of ``rows``, LANES apart in a flat array, with a number that is not finite, or -1."""
+    unsound = 0
+    for i in range(rows.size):
+        unsound += rows[i] - rows[i] != 0  # counts; a sum of numbers would be added up one by one
+    if unsound:
+        for i in range(width):
+            for k in range(i, rows.size, LANES):
+                if not np.isfinite(rows[k]):
+                    return i
+    return -1
+
+
+@compiled
+def report_block(lanes: Any, scratch: Any, integers: Any, numbers: Any, results: Any, first: int, count: int) -> Any:
+    """Write reward, mean squares, damping and operating point of the finished interval.
+
+    Returns:
+        The first environment of the block in which a mean square or the reward is not finite, or -1. The squares hold the whole
+        state of the car and the level, so it is finite where they are.
+    """
+    w0, w1, w2 = like(lanes, numbers[WEIGHT]), like(lanes, numbers[WEIGHT + 1]), like(lanes, numbers[WEIGHT + 2])
+    w3, w4 = like(lanes, numbers[WEIGHT + 3]), like(lanes, numbers[WEIGHT + 4])
+    for i in range(LANES):
+        yy, xx, aa = scratch[SQUARE + i], scratch[SQUARE + LANES + i], scratch[SQUARE + 2 * LANES + i]
+        tt, rr = scratch[SQUARE + 3 * LANES + i], scratch[SQUARE + 4 * LANES + i]
+        cost = w0 * yy + w1 * xx + w2 * aa + w3 * tt + w4 * rr
+        scratch[COST + i] = -cost
+        scratch[SOUND + i] = cost + yy + xx + aa + tt + rr  # no term is negative: it is finite if all of them are
+    unsound = first_unsound(scratch[SOUND : SOUND + LANES], count)
+    copy_row(scratch, COST, results, REWARD, first, count)
     for k in range(5):
-        squares = results[RESULT_SQUARE + k, first : first + count]
-        sums = scratch[SQUARE + k * LANES : SQUARE + k * LANES + count]
-        for i in range(count):
-            squares[i] = share * sums[i]
-        weight = like(lanes, numbers[WEIGHT + k])
-        if weight != 0.0:  # a weight of zero takes no part: its mean square may be meaningless on this road
-            for i in range(count):
-                reward[i] -= weight * squares[i]
+        copy_row(scratch, SQUARE + k * LANES, results, RESULT_SQUARE + k, first, count)
     if integers[HAS_SLOPE] == 0:
         results[RESULT_SQUARE + 2, first : first + count] = np.inf
         results[RESULT_SQUARE + 4, first : first + count] = np.inf
     copy_row(scratch, DAMPING, results, RESULT_DAMPING, first, count)
     copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
     copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+    return unsound if unsound < 0 else first + unsound
 
 
 @compiled
@@ -357,8 +412,13 @@ def step_blocks(
     results: Any,
     truncated: Any,
     final_observations: Any,
-) -> None:
-    """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring."""
+) -> int:
+    """Advance the blocks ``begin`` to ``end`` by one control interval; see the module's docstring.
+
+    Returns:
+        The first environment in which a number is not finite, or -1.
+    """
+    unsound = -1
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
     scratch = make_scratch(state, numbers)
@@ -374,8 +434,10 @@ def step_blocks(
         count = min(LANES, actions.size - first)
         for i in range(count):
             scratch[DAMPING + i] = clip(like(state, actions[first + i]), low, high)
-        drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, INTERVAL)
-        report_block(lanes, scratch, integers, numbers, results, first, count)
+        drive_interval(lanes, scratch, counts, words, road_table, speed_table, integers, numbers, INTERVAL)
+        found = report_block(lanes, scratch, integers, numbers, results, first, count)
+        if unsound < 0:
+            unsound = found
 
         ended, pending = 0, 0
         for i in range(count):
@@ -384,6 +446,8 @@ def step_blocks(
             truncated[first + i] = over
             ended += over
             pending += counts[PENDING + i]
+        for i in range(count, LANES):  # lanes beyond the last environment need new noise too
+            counts[STEP + i] += np.uint32(1)
         if pending:  # these lanes moved, but what they did is thrown away: for them this step is the reset
             for i in range(count):
                 due[i] = counts[PENDING + i] != 0
@@ -401,10 +465,14 @@ def step_blocks(
             for i in range(count):
                 # a new episode has no action yet: its first observation is that of the softest damper, as after `reset`
                 scratch[DAMPING + i] = low if due[i] else clip(like(state, actions[first + i]), low, high)
+            if unsound < 0:
+                found = first_unsound(lanes[LEVEL:RATE], count)
+                unsound = found if found < 0 else first + found
         if mode == NEXT_STEP and ended:
             for i in range(count):
                 counts[PENDING + i] = truncated[first + i]
         observe_block(lanes, scratch, signals, numbers[SATURATION], observations, first, count)
+    return unsound
 
 
 @compiled
@@ -422,8 +490,13 @@ def reset_blocks(
     mask: Any,
     observations: Any,
     results: Any,
-) -> None:
-    """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all."""
+) -> int:
+    """Start the masked environments of the blocks ``begin`` to ``end`` in their next episode, and observe all.
+
+    Returns:
+        The first environment in which a number is not finite, or -1.
+    """
+    unsound = -1
     substep_words = integers[SUBSTEPS] * (integers[ROAD_WORDS] + integers[SPEED_WORDS])
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
     scratch = make_scratch(state, numbers)
@@ -440,7 +513,10 @@ def reset_blocks(
         for i in range(LANES):
             scratch[DAMPING + i] = numbers[DAMPING_LOW]
         observe_block(lanes, scratch, signals, numbers[SATURATION], observations, first, count)
-        for i in range(count):
-            results[RESULT_DAMPING, first + i] = scratch[DAMPING + i]
-            results[RESULT_SPEED, first + i] = lanes[SPEED + i]
-            results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
+        copy_row(scratch, DAMPING, results, RESULT_DAMPING, first, count)
+        copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
+        copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+        if unsound < 0:
+            found = first_unsound(lanes[LEVEL:RATE], count)
+            unsound = found if found < 0 else first + found
+    return unsound

@@ -55,6 +55,10 @@ def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any])
     return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
 
 
+class PlantError(ArithmeticError):
+    """A number of the plant is not finite: a component of one's own, or the range of a parameter, lets it grow without end."""
+
+
 class Plant:
     """``num_envs`` independent cars.
 
@@ -97,7 +101,7 @@ class Plant:
             self._speed_table = np.zeros(1, self.dtype)
         else:
             self._speed_table = padded_table(noise, noise.table(substep, w1, road), self.dtype)
-        self._numbers = np.zeros(kernel.NUMBERS)
+        self._numbers = np.zeros(kernel.SHARE + task.substeps + 1)
         self._numbers[: kernel.WEIGHT] = (
             substep,
             *task.damping_range,
@@ -106,7 +110,8 @@ class Plant:
             task.warm_up_damping,
             SATURATION,
         )
-        self._numbers[kernel.WEIGHT :] = task.weights
+        self._numbers[kernel.WEIGHT : kernel.SHARE] = task.weights
+        self._numbers[kernel.SHARE :] = kernel.interval_weights(task.substeps)
         self._integers = self._make_integers()
 
     def _make_integers(self) -> npt.NDArray[np.int64]:
@@ -145,16 +150,25 @@ class Plant:
         self.__dict__.update(state)
         self._integers = self._make_integers()
 
-    def _run(self, function: Callable[..., None], *arguments: Any) -> None:
+    def _run(self, function: Callable[..., int], *arguments: Any) -> None:
+        """Run a function of the kernel over all blocks.
+
+        Raises:
+            PlantError: a number is not finite.
+        """
         if self.threads == 1:
-            function(0, self.blocks, *arguments)
-            return
-        edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
-        pool = _pool(self.threads)
-        futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
-        function(edges[0], edges[1], *arguments)
-        for future in futures:
-            future.result()
+            found = [function(0, self.blocks, *arguments)]
+        else:
+            edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
+            pool = _pool(self.threads)
+            futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
+            found = [function(edges[0], edges[1], *arguments), *(future.result() for future in futures)]
+        unsound = [environment for environment in found if environment >= 0]
+        if unsound:
+            raise PlantError(
+                f"environment {min(unsound)} of {self.num_envs} has left the numbers that {self.dtype} can hold; reset it, and "
+                f"look for what drove it there: {self.task}"
+            )
 
     def seed(self, seeds: npt.NDArray[np.uint64], mask: npt.NDArray[np.bool_]) -> None:
         """Give the masked environments new keys, shape (num_envs,) each, and start their count of episodes again."""

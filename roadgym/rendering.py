@@ -109,14 +109,15 @@ class History:
         reward, self.damping = (float(result[1][row, 0]) for row in (kernel.REWARD, kernel.RESULT_DAMPING))
 
         integers, tables = plant._integers.copy(), (plant._road_table, plant._speed_table)
+        numbers = plant._numbers
         rows = int(integers[kernel.ROAD_WORDS] + integers[kernel.SPEED_WORDS])
         words = np.empty(LANES * (plant.task.substeps * rows + 3), np.uint32)
         kernel.draw_words(words, counters, integers, INTERVAL, plant.task.substeps * rows)
-        scratch = kernel.make_scratch(lanes, plant._numbers)
+        scratch = kernel.make_scratch(lanes, numbers)
         scratch[kernel.DAMPING : kernel.DAMPING + LANES] = self.damping
         integers[kernel.SUBSTEPS], integers[kernel.FILL_WORDS] = 1, keep_words.address(np.uint32)
         for k in range(plant.task.substeps):
-            kernel.drive_interval(lanes, scratch, counters, words[LANES * rows * k :], *tables, integers, INTERVAL)
+            kernel.drive_interval(lanes, scratch, counters, words[LANES * rows * k :], *tables, integers, numbers, INTERVAL)
             end = self.path[-1][0] + float(lanes[TURN]), float(lanes[LEVEL])
             if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / PIXELS_PER_RADIAN:
                 self.path.pop()

@@ -133,8 +133,8 @@ def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, sp
 
     On the harmonic road the variance of the random turn in a substep h, at most sigma^2 h, and less where a filter makes it
     sigma^2 w_g h^2/2 (low-pass) or sigma^2/w_g (high-pass), is kept to `LARGEST_TURN_VARIANCE`, and w_g h to 1. Then for
-    sigma <= 10 sqrt(w1) and 0.01 w1 <= w_g <= 100 w1 the mean squares are within 1e-4 under white noise, 5e-4 under high-pass
-    and 1e-3 under low-pass noise.
+    sigma <= 10 sqrt(w1) and 0.01 w1 <= w_g <= 100 w1 the mean squares are within 1e-4 under white and high-pass noise, and
+    within 1e-3 under low-pass noise.
 
     On random roads a noise whose standard deviation is more than a quarter of the speed stops the car now and then. The angle
     of a substep is then cut at zero, and the substep must follow the noise: two of its standard deviations and three times its
@@ -205,7 +205,7 @@ def _substeps(
     angle = interval * max(fastest_rate(road, speed_noise, car, end, bandwidth) for end in speeds)
     decay = damping * interval * car.natural_frequency
     if given is None:
-        needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(decay / LARGEST_DECAY - 1e-9), 1)
+        needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(decay / LARGEST_DECAY - 1e-9), 2)
         check_ratio("control_interval", interval, "the number of substeps in it", needed, "substeps")
         return needed
     number = whole("substeps", given, of="substeps")
@@ -273,7 +273,8 @@ def make_task(
         natural_frequency: w1 of the car, rad/s.
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
-            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2. Fewer are less
+            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
+            two, without which the mean squares are off where D switches (`roadgym.kernel.interval_weights`). Fewer are less
             exact: the mean squares are of fourth order in the angle, which may be 1 rad at most.
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.

@@ -12,7 +12,9 @@ coordinate of a uniform point on a sphere of dimension 2 alpha. Both parts keep 
 - alpha >= 1/2: a random walk on that sphere, x -> g x + sqrt(1 - g^2) sqrt(1 - x^2) c, c one coordinate of a random direction
   in the tangent space, density ~ (1 - c^2)^(alpha - 3/2). That it keeps the law for any real 2 alpha >= 1 is the product
   formula of the Gegenbauer polynomials (T. Koornwinder, "Jacobi polynomials II", SIAM J. Math. Anal. 5, 1974). c comes from a
-  table of its quantiles, scaled so that E c^2 = 1/(2 alpha) exactly.
+  table of its quantiles, scaled so that E c^2 = 1/(2 alpha) exactly. The step's cosine g takes one of two values at random,
+  whose mean and mean square are those of Brownian motion on the sphere; with one value, polynomials of second and higher
+  degree would relax too fast, in first order of the angle a substep (`kick_cosines`).
 - alpha < 1/2, where there is no such sphere: a Gaussian step in the space around the sphere, projected back on it,
   (x, w) -> (x + eta N, eta^2 chi'^2) with w = 1 - x^2 and chi'^2 noncentral chi-square of 2 alpha degrees of freedom and
   noncentrality w / eta^2; then x -> x / sqrt(x^2 + w). By symmetry it keeps the law too, and E x' = g(eta) x.
@@ -21,8 +23,8 @@ The kick comes at one of two instants, the Gauss-Legendre points of the substep,
 (both rotations and g) are set so that the conditional mean of (Z, U) over a substep is that of the equation. So for every
 alpha > 0, at any substep, the stationary law is the exact one (to the table's interpolation: below 2e-4 in the distribution
 function, as seen with 10^7 roads), Z^2 + U^2 <= r0^2 always, and the autocovariance of the samples is exact at every lag.
-Approximate, of first weak order in the angle a substep: how fast higher moments relax. The increments are not Gaussian, so no
-convergence along a given Brownian path is claimed.
+Approximate, of second weak order in the angle a substep: how fast higher moments relax, which a feedback can see. The
+increments are not Gaussian, so no convergence along a given Brownian path is claimed.
 
 On an ellipse z0 != u0 the drift carries the path outside, where V^2 is taken as max(V^2, 0): there U only decays. The same
 three steps then split the equation symmetrically, with an error of second order in the angle; (11) and (12) do not hold, and
@@ -45,15 +47,19 @@ from ..parameters import ParameterError, check_ratio, within
 from .base import Road, check_fields
 from .gaussian import oscillator
 
-KEEP, KICK = COEFFICIENT, COEFFICIENT + LANES
-SHORT_COSINE, SHORT_SINE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
-LONG_COSINE, LONG_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
-CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 6 * LANES, COEFFICIENT + 7 * LANES  # of this substep only
+# the cosine g of a kick and its sine, for each of its two values; a small shape has the first pair alone: mean of g, and eta
+FAR_KEEP, FAR_KICK = COEFFICIENT, COEFFICIENT + LANES
+NEAR_KEEP, NEAR_KICK = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
+SHORT_COSINE, SHORT_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
+LONG_COSINE, LONG_SINE = COEFFICIENT + 6 * LANES, COEFFICIENT + 7 * LANES
+CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 8 * LANES, COEFFICIENT + 9 * LANES  # of this substep only
 
-# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, then the knots of a curve and the
-# distances between them
-SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, CURVE = 0, 1, 2, 3, 4
+# the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, how many kicks in CHANCES are far,
+# then the knots of a curve and the distances between them
+SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, FAR, CURVE = 0, 1, 2, 3, 4, 5
 CELLS = 512
+CHANCES = 32
+LARGE_NONCENTRALITY = 1e4  # above it chi'^2 is taken for the square of a shifted normal, whose error is below 1 over it
 LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
 
 
@@ -67,20 +73,44 @@ def rotations(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
     return 0.5 * (total - difference), 0.5 * (total + difference), keep
 
 
+@compiled
+def kick_cosines(keep: Any, shape: Any, far: Any) -> tuple[float, float]:
+    """(far, near) values of the cosine g of a kick, of which the first comes ``far`` times in CHANCES.
+
+    Brownian motion on a sphere of dimension 2 alpha lets the Gegenbauer polynomial of degree k decay at a rate proportional to
+    k (k + 2 alpha - 1). So where the mean of g is ``keep``, its mean square is (1 + 2 alpha keep^(2 + 1/alpha))/(2 alpha + 1),
+    which the two values have. In small steps 1 - g is a Gamma variate of shape alpha: with the chance of `far_chance` its third
+    moment nearly holds too.
+    """
+    decay = math.log(keep)
+    variance = keep * keep * (math.expm1(-2.0 * decay) + 2.0 * shape * math.expm1(decay / shape)) / (2.0 * shape + 1.0)
+    odds = math.sqrt(far / (CHANCES - far))
+    # both values stay within [-1, 1], whatever the step
+    spread = min(math.sqrt(max(variance, 0.0)), (1.0 + keep) * odds, (1.0 - keep) / odds)
+    return keep - spread / odds, keep + spread * odds
+
+
+def far_chance(shape: float) -> int:
+    """How many kicks in CHANCES are far: the weight of the larger node of Gauss's rule for a Gamma law, rounded."""
+    return max(1, round(CHANCES * (1 - 1 / math.sqrt(shape + 1)) / 2))
+
+
 @LaneFunction
 def prepare(lane: Any, words: Any, table: Any) -> None:
-    """Both rotations, g and the strength of the kick (for shapes below 1/2: eta), in double precision."""
+    """Both rotations and the kick, in double precision."""
+    shape = np.float64(table[SHAPE])
     short, long, keep = rotations(np.float64(lane[TURN]), np.float64(lane[BANDWIDTH]))
     lane[SHORT_COSINE], lane[SHORT_SINE] = math.cos(short), math.sin(short)
     lane[LONG_COSINE], lane[LONG_SINE] = math.cos(long), math.sin(long)
-    lane[KEEP] = keep
-    if table[SHAPE] < 0.5:
+    if shape < 0.5:
         place = min(math.sqrt(-math.log(keep)) / LARGEST_ROOT, 1.0) * CELLS
         cell = min(int(place), CELLS - 1)
         low, high = np.float64(table[CURVE + cell]), np.float64(table[CURVE + cell + 1])
-        lane[KICK] = low + (place - cell) * (high - low)
+        lane[FAR_KEEP], lane[FAR_KICK] = keep, low + (place - cell) * (high - low)
     else:
-        lane[KICK] = math.sqrt(1.0 - keep * keep)
+        far, near = kick_cosines(keep, shape, np.float64(table[FAR]))
+        lane[FAR_KEEP], lane[FAR_KICK] = far, math.sqrt((1.0 - far) * (1.0 + far))
+        lane[NEAR_KEEP], lane[NEAR_KICK] = near, math.sqrt((1.0 - near) * (1.0 + near))
 
 
 @LaneFunction
@@ -103,10 +133,12 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
     """Rotate, kick on the sphere, rotate; shapes alpha >= 1/2."""
     zero, half, one, three_halves = like(lanes, 0.0), like(lanes, 0.5), like(lanes, 1.0), like(lanes, 1.5)
     twelfth = like(lanes, 1.0 / 12.0)
-    fraction_unit = like(lanes, 2.0**-21)
+    fraction_unit = like(lanes, 2.0**-16)
     square_chord, chord_ratio, inverse_bound = table[SQUARE_CHORD], table[CHORD_RATIO], table[INVERSE_BOUND]
+    far_below = np.int32(table[FAR])
     # The look-up has a loop of its own and does nothing else, since it is the one part that does not vectorise. Of a word, the
-    # top bit chooses the instant of the kick, the next its sign, nine the cell of the table, the rest the place in the cell.
+    # top bit chooses the instant of the kick, the next its sign, nine the cell of the table, sixteen the place in the cell,
+    # and the last five whether it goes far.
     for i in range(LANES):
         cell = np.int64((words[i] >> np.uint32(21)) & np.uint32(CELLS - 1))
         lanes[CELL_BEGIN + i] = table[CURVE + cell]
@@ -115,7 +147,8 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
         word = words[i]
         early = np.int32(word) < np.int32(0)
         sign = like(lanes, np.int32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1)))
-        place = like(lanes, np.int32(word & np.uint32(0x1FFFFF))) * fraction_unit
+        place = like(lanes, np.int32((word >> np.uint32(5)) & np.uint32(0xFFFF))) * fraction_unit
+        far = np.int32(word & np.uint32(CHANCES - 1)) < far_below
         direction = sign * (lanes[CELL_BEGIN + i] + place * lanes[CELL_WIDTH + i])
 
         short_cosine, short_sine = lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i]
@@ -129,7 +162,11 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
         z = first_cosine * lanes[LEVEL + i] + first_sine * old_u
         u = first_cosine * old_u - first_sine * lanes[LEVEL + i]
         free = max(square_chord - chord_ratio * z * z - u * u, zero)
-        u = lanes[KEEP + i] * u + lanes[KICK + i] * direction * np.sqrt(free)
+        far_keep, far_kick = lanes[FAR_KEEP + i], lanes[FAR_KICK + i]
+        near_keep, near_kick = lanes[NEAR_KEEP + i], lanes[NEAR_KICK + i]
+        keep = far_keep if far else near_keep
+        kick = far_kick if far else near_kick
+        u = keep * u + kick * direction * np.sqrt(free)
         new_z = last_cosine * z + last_sine * u
         new_u = last_cosine * u - last_sine * z
         # rounding can leave the circle by a few units in the last place: one Newton step back, exact to their square
@@ -157,6 +194,9 @@ def gamma_variate(shape: Any, key0: Any, key1: Any, counter: Any) -> tuple[float
 @compiled
 def noncentral_chi_square(shape: Any, noncentrality: Any, key0: Any, key1: Any) -> Any:
     """Noncentral chi-square of 2 ``shape`` degrees of freedom: a Poisson mixture of Gamma variates, for any shape > 0."""
+    if noncentrality > LARGE_NONCENTRALITY:
+        w0, w1, _, _ = philox(np.uint32(0), np.uint32(0), np.uint32(0), np.uint32(1), key0, key1)
+        return (np.float64(normal_pair(w0, w1)[0]) + math.sqrt(noncentrality + 2.0 * shape - 1.0)) ** 2
     count = 0.0
     left = 0.5 * noncentrality
     counter = np.uint32(0)
@@ -195,15 +235,15 @@ def advance_small_shape(lanes: Any, words: Any, table: Any) -> None:
         first_sine = np.float64(lanes[SHORT_SINE + i] if early else lanes[LONG_SINE + i])
         last_cosine = np.float64(lanes[LONG_COSINE + i] if early else lanes[SHORT_COSINE + i])
         last_sine = np.float64(lanes[LONG_SINE + i] if early else lanes[SHORT_SINE + i])
-        eta = np.float64(lanes[KICK + i])
+        eta = np.float64(lanes[FAR_KICK + i])
 
         old_z, old_u = np.float64(lanes[LEVEL + i]), np.float64(lanes[SLOPE + i])
         z = first_cosine * old_z + first_sine * old_u
         u = first_cosine * old_u - first_sine * old_z
         half_chord = math.sqrt(max(square_chord - chord_ratio * z * z, 1e-300))
         x = u / half_chord
-        if abs(x) >= 1.0:  # on the bound, or outside an ellipse: no noise
-            u *= np.float64(lanes[KEEP + i])
+        if abs(x) >= 1.0 or eta == 0.0:  # on the bound, or outside an ellipse, or standing still: no noise
+            u *= np.float64(lanes[FAR_KEEP + i])
         else:
             x_new = x + eta * np.float64(normal_pair(w0, w1)[0])
             free = eta * eta * noncentral_chi_square(shape, (1.0 - x * x) / (eta * eta), key0, key1)
@@ -392,7 +432,7 @@ class MultiplicativeRoad(Road):
         # four units in the last place inside the circle, so that what is stored never lies outside
         bound = square_chord * (1 - 4 * float(np.finfo(self.precision).eps))
         curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
-        constants = [square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape]
+        constants = [square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape, far_chance(self.shape)]
         return np.concatenate([constants, curve, np.diff(curve)])
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
