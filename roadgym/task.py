@@ -206,7 +206,13 @@ def _substeps(
     decay = damping * interval * car.natural_frequency
     if given is None:
         needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(decay / LARGEST_DECAY - 1e-9), 2)
-        check_ratio("control_interval", interval, "the number of substeps in it", needed, "substeps")
+        check_ratio(
+            "control_interval",
+            interval,
+            "the number of substeps in it, at this speed, natural_frequency and bandwidth,",
+            needed,
+            "substeps",
+        )
         return needed
     number = whole("substeps", given, of="substeps")
     # of a broad road the fast motion must not be skipped; on random roads too few substeps only follow the noise less well
@@ -334,13 +340,31 @@ def make_task(
     stiffness = damping[1] if warm_up_damping is None else within("warm_up_damping", warm_up_damping, "damping")
     number = _substeps(the_road, noise, car, speeds, bandwidths[1], max(damping[1], stiffness), interval, substeps)
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
-    check_ratio("control_interval", interval, "the number of random words in it", number * words, "words")
-    check_ratio("warm_up", warm_up, "the number of substeps in it", warm_up / interval * number, "warm-up substeps")
+    check_ratio(
+        "control_interval",
+        interval,
+        "the number of random words in it, at this speed and natural_frequency,",
+        number * words,
+        "words",
+    )
+    check_ratio(
+        "warm_up",
+        warm_up,
+        "the number of substeps in it, at this speed and natural_frequency,",
+        warm_up / interval * number,
+        "warm-up substeps",
+    )
 
     slowest = speeds[0] * the_road.wavenumber / w1
     if bandwidths[0] > 0:
         loss = bandwidths[0] * slowest * interval * w1 / number
-        check_ratio("speed", speed, "bandwidth times the road's angle in a substep", loss, the_road.loss_range)
+        check_ratio(
+            "speed",
+            speed,
+            "bandwidth times the road's angle in a substep, at this natural_frequency and control_interval,",
+            loss,
+            the_road.loss_range,
+        )
     if not (precision is None or (isinstance(precision, str) and precision in ("float32", "float64"))):
         raise ParameterError(f'precision must be "float32" or "float64", got {shown(precision)}')
     if the_road.precision == "float64" and precision == "float32":

@@ -11,7 +11,9 @@ import fractions
 import gc
 import math
 import os
+import pathlib
 import pickle
+import tempfile
 import time
 import warnings
 
@@ -22,7 +24,7 @@ import analysis
 import roadgym
 from agents import AgentError
 from agents.controllers import CONTROLLERS, ConstantDamping, make_controller
-from agents.training import load
+from agents.training import load, load_hyperparameters
 from agents.vec_env import QuarterCarVecEnv, Sight, damping_from_action
 from analysis import explorer
 from analysis import figures as paper_figures
@@ -241,6 +243,8 @@ WORDS = {
     "observation": ("features",),
     "options": ("option",),
     "numbers": ("figure",),
+    "folder": ("agent",),
+    "file": ("hyperparameter",),
     "view": (*explorer.RANGES, "weight", "reward", "road", "speed_noise"),
     "relative_error": ("relative_error",),
 }
@@ -636,12 +640,31 @@ def call_own_road(rng):
 
 
 def call_agents(rng):
-    folder = junk(rng)
-    if isinstance(folder, (str, bytes, os.PathLike)):
-        folder = "/nowhere"
-    yield {"folder": folder}
-    if isinstance(folder, str):
-        load(folder)
+    """Folders and files that hold anything but an agent."""
+    texts = (
+        "",
+        "{}",
+        "[]",
+        "null",
+        '{"format": 1}',
+        "\x00",
+        "a: [",
+        "a: 1",
+        "- 1",
+        "{1: 2}",
+        "x" * 9,
+    )
+    text = texts[rng.integers(len(texts))]
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder, ("agent.json", "other")[rng.integers(2)])
+        path.write_bytes(rng.bytes(40) if rng.integers(3) == 0 else text.encode())
+        if rng.integers(2):
+            yield {"folder": folder}
+            load(folder)
+        else:
+            algorithm = ("ppo", "sac", junk(rng))[rng.integers(3)]
+            yield {"algorithm": algorithm, "file": str(path)}
+            load_hyperparameters(algorithm, path)
 
 
 CALLED = (
