@@ -23,14 +23,17 @@ import numpy.typing as npt
 
 import analysis
 from analysis.quadratic import plant_system, regulator_gain
-from roadgym.parameters import ParameterError
+from roadgym.parameters import ParameterError, number_array, shown, single_precision, within
 from roadgym.roads import Road
-from roadgym.task import Task
+from roadgym.task import OPERATING_POINT, Task
 
 from .advantage import STATE, advantage_forms
 
 Observation = npt.NDArray[np.float32]
 Damping = npt.NDArray[np.float32]
+
+
+LARGEST_SIGNAL = 1e6  # of an observation, in standard deviations of the road; those of the environment saturate far below
 
 
 class Controller(abc.ABC):
@@ -61,13 +64,32 @@ class Controller(abc.ABC):
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Damping, Any]:
-        """(D, state); see the module's docstring. Every rule here is deterministic and keeps no state."""
+        """(D, state); see the module's docstring. Every rule here is deterministic and keeps no state.
+
+        Raises:
+            ParameterError: an observation of another shape, or with numbers that no observation has.
+        """
+        observation = self._checked(observation)
         rows = np.atleast_2d(observation)
-        if rows.shape[-1] != len(self.task.signals):
-            raise ParameterError(f"observation must have {len(self.task.signals)} signals, got the shape {observation.shape}")
         damping = self.damping({name: rows[:, i] for i, name in enumerate(self.task.signals)})
         values = np.clip(np.broadcast_to(damping, len(rows)), *self.task.damping_range).astype(np.float32)[:, None]
         return values.reshape((*observation.shape[:-1], 1)), state
+
+    def _checked(self, observation: Any) -> Observation:
+        """The observation as float32, shape (signals,) or (n, signals)."""
+        array = observation if isinstance(observation, np.ndarray) else number_array("observation", observation)
+        names = self.task.signals
+        if array.ndim not in (1, 2) or array.shape[-1] != len(names):
+            raise ParameterError(f"observation must have {len(names)} signals, got the shape {array.shape}")
+        result = single_precision("observation", array, array.shape)
+        if not np.all(np.abs(result) <= LARGEST_SIGNAL):
+            raise ParameterError(f"observation must be of finite numbers up to {LARGEST_SIGNAL:g}, got {shown(observation)}")
+        for name in OPERATING_POINT:
+            if name in names:
+                share = result[..., names.index(name)]
+                if not np.all((share >= 0) & (share < 1)):
+                    raise ParameterError(f"observation must have {name} from 0 to below 1, got {shown(observation)}")
+        return result
 
 
 def observed_speed(signals: Mapping[str, Observation], task: Task) -> npt.NDArray[np.float64]:
@@ -88,7 +110,7 @@ class ConstantDamping(Controller):
 
     def __init__(self, task: Task, damping: float) -> None:
         super().__init__(task)
-        self.constant = damping
+        self.constant = within("damping", damping)
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """The constant."""
@@ -386,6 +408,6 @@ def make_controller(name: str, task: Task) -> Controller:
     Raises:
         ParameterError: an unknown name, or signals that the task does not observe.
     """
-    if name not in CONTROLLERS:
-        raise ParameterError(f"unknown controller {name!r}; known: {', '.join(CONTROLLERS)}")
+    if not isinstance(name, str) or name not in CONTROLLERS:
+        raise ParameterError(f"unknown controller {shown(name)}; known: {', '.join(CONTROLLERS)}")
     return CONTROLLERS[name](task)

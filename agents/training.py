@@ -138,8 +138,9 @@ def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict
     Raises:
         ParameterError: an unknown algorithm, or a file that holds no hyperparameters for this environment.
     """
-    if algorithm not in ALGORITHMS:
-        raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
+    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
+        name = algorithm if isinstance(algorithm, str) else type(algorithm).__name__
+        raise ParameterError(f"unknown algorithm {name!r}; known: {', '.join(ALGORITHMS)}")
     chosen = algorithm if file is None else file
     shipped = [path.stem for path in sorted(HYPERPARAMETERS.glob("*.yaml"))]
     path = HYPERPARAMETERS / f"{chosen}.yaml" if str(chosen) in shipped else Path(chosen)

@@ -13,8 +13,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
-from roadgym.parameters import ParameterError, whole
-from roadgym.task import OPERATING_POINT, Task
+from roadgym.parameters import ParameterError, number_array, shown, whole
+from roadgym.task import OPERATING_POINT, Task, TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
 
 from .features import Features
@@ -36,11 +36,20 @@ def damping_from_action(
         action: in [-1, 1], shape (n, 1); with ``levels``, one of 0, ..., levels - 1, shape (n,), spread equally over [-1, 1].
         damping_range: the softest and the firmest damping, 1.
         levels: number of levels of a discrete action.
+
+    Raises:
+        ParameterError: actions of another shape, that are not finite, or levels that do not exist.
     """
     low, high = damping_range
-    values = np.asarray(action, np.float32)
+    given = number_array("action", action)
     if levels is not None:
-        values = values[:, None] * np.float32(2 / (levels - 1)) - 1
+        if given.ndim != 1 or not np.all((given >= 0) & (given < levels) & (given == np.floor(given))):
+            raise ParameterError(f"action must be integers from 0 to {levels - 1}, shape (n,), got {shown(action)}")
+        values = given.astype(np.float32)[:, None] * np.float32(2 / (levels - 1)) - 1
+    else:
+        if given.ndim != 2 or given.shape[1] != 1:
+            raise ParameterError(f"action must have the shape (n, 1), got {given.shape}")
+        values = np.clip(given, -1e6, 1e6).astype(np.float32)  # it saturates at the range in any case
     return np.asarray(low + (values + 1) * (0.5 * (high - low)), np.float32)
 
 
@@ -65,11 +74,13 @@ class Sight:
     """
 
     def __init__(self, task: Task, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
-        self.frame_stack = whole("frame_stack", frame_stack)
+        self.frame_stack = whole("frame_stack", frame_stack, of="frame_stack")
         self._moving = [i for i, name in enumerate(task.signals) if name not in OPERATING_POINT]
         older = tuple(task.signals[i] for i in self._moving) * (self.frame_stack - 1)
         stacked = dataclasses.replace(task, signals=task.signals + older)
         self._width, self._kept = len(task.signals), len(stacked.signals) - len(self._moving)
+        if not (features is None or (isinstance(features, Sequence) and all(isinstance(kind, str) for kind in features))):
+            raise ParameterError(f"features must be a sequence of names or None, got {shown(features)}")
         self._features = None if features is None else Features(stacked, features)
         self.space = stacked.observation_space
         if self._features is not None:
@@ -121,6 +132,12 @@ class QuarterCarVecEnv(VecEnv):
         frame_stack: int = 1,
         damping_levels: int | None = None,
     ) -> None:
+        if not (environment is None or isinstance(environment, Mapping)):
+            raise ParameterError(f"environment must be a mapping of parameters, got {shown(environment)}")
+        known = ("threads", *TaskParameters.__annotations__)
+        for name in environment or {}:
+            if name not in known:
+                raise ParameterError(f"unknown parameter {shown(name)} of environment; known: {', '.join(known)}")
         self.envs = QuarterCarVectorEnv(
             num_envs,
             max_episode_steps=max_episode_steps,
@@ -130,7 +147,7 @@ class QuarterCarVecEnv(VecEnv):
         self.task = self.envs.task
         self.render_mode = None
         self.sight = Sight(self.task, features, frame_stack)
-        self.damping_levels = None if damping_levels is None else whole("damping_levels", damping_levels, low=2)
+        self.damping_levels = None if damping_levels is None else whole("damping_levels", damping_levels, low=2, of="levels")
         super().__init__(num_envs, self.sight.space, action_space(self.damping_levels))
         self._frames: Rows | None = None
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)

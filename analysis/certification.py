@@ -33,12 +33,13 @@ import numpy as np
 import numpy.typing as npt
 
 from roadgym.car import MEAN_SQUARES
-from roadgym.parameters import ParameterError, positive, whole
+from roadgym.parameters import ParameterError, whole, within
 from roadgym.plant import PlantError
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
+from roadgym.task import check_plant
 
-from .checks import FloatArray, non_negative_array
+from .checks import FloatArray, range_array
 from .response import mean_squares
 from .roads import marginal_density
 from .sampling import Samples, Switching, drive
@@ -164,10 +165,11 @@ def certify(
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
-    speed, damping = positive("speed", speed), positive("damping", damping)
-    natural_frequency = positive("natural_frequency", natural_frequency)
-    whole("seed", seed, low=0)
-    if whole("lanes", lanes) < FEWEST_LANES:
+    speed, damping = within("speed", speed, "moving speed"), within("damping", damping)
+    natural_frequency = within("natural_frequency", natural_frequency)
+    check_plant(road, speed_noise, (speed / 2, 2 * speed), natural_frequency)
+    whole("seed", seed, low=0, of="seed")
+    if whole("lanes", lanes, of="lanes") < FEWEST_LANES:
         raise ParameterError(f"lanes must be at least {FEWEST_LANES} to have a standard error, got {lanes}")
 
     try:
@@ -281,7 +283,7 @@ def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLik
     Raises:
         ParameterError: a plant without closed form, such as a random road under speed noise.
     """
-    t = non_negative_array("lag", lag)
+    t = range_array("lag", lag, "lag")
     angle = speed * road.wavenumber * t
     if isinstance(road, HarmonicRoad):
         return road.variance * np.cos(angle) * np.exp(-_phase_variance(speed_noise, t) / 2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +17,7 @@ from typing import Any
 
 from roadgym import MEAN_SQUARES, __version__
 from roadgym.files import whole_file
-from roadgym.parameters import ParameterError, number
+from roadgym.parameters import ParameterError, number, shown
 from roadgym.reward import check_weights, divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, make_road
 from roadgym.speed import SPEED_NOISES, make_speed_noise
@@ -78,13 +79,15 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
     Raises:
         ParameterError: a value out of range, or a file that cannot be written.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise ParameterError(f"path must name a file, got {shown(path)}")
     data = {
         "version": __version__,
         "mean_squares": MEAN_SQUARES,
         "plants": plants(),
         "ranges": {name: dataclasses.asdict(value) for name, value in RANGES.items()},
         "search": {"coarse": COARSE, "fine": FINE, "rounds": ROUNDS},
-        "view": make_view(view or {}),
+        "view": make_view({} if view is None else view),
     }
     text = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, json.dumps(data))
     target = Path(path)
@@ -102,6 +105,8 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ParameterError: an unknown name, a plant that is not defined, or a value out of range.
     """
+    if not isinstance(view, Mapping):
+        raise ParameterError(f"view must be a mapping, got {shown(view)}")
     known = ("road", "speed_noise", "weights", *RANGES)
     for name in view:
         one_of("name in the view", name, known)

@@ -53,7 +53,7 @@ import numpy.typing as npt
 from roadgym.compiled import compiled
 from roadgym.kernel import RESULT_SQUARE, REWARD
 from roadgym.linear import LinearSystem
-from roadgym.parameters import ParameterError, positive, positive_range, whole
+from roadgym.parameters import ParameterError, number_array, positive_range, shown, whole, within
 from roadgym.plant import Plant
 from roadgym.reward import check_weights
 from roadgym.roads import GaussianRoad, MultiplicativeRoad, Road, make_road
@@ -405,7 +405,7 @@ class OptimalFeedback:
 
     def damping(self, states: npt.ArrayLike) -> SingleArray:
         """D, shape (n,), float32, at ``states`` (Y, X, Z, U), shape (n, 4), in standard deviations of the road."""
-        rows = np.atleast_2d(np.asarray(states))
+        rows = np.atleast_2d(number_array("states", states))
         if rows.ndim != 2 or rows.shape[1] != len(STATE):
             raise ParameterError(f"states must have the shape (n, {len(STATE)}), got {np.shape(states)}")
         return self._evaluate(rows, np.arange(len(STATE)))
@@ -425,15 +425,13 @@ class OptimalFeedback:
         Raises:
             ParameterError: an observation of another shape, or one that is not finite.
         """
-        rows = np.atleast_2d(np.asarray(observation))
+        rows = np.atleast_2d(number_array("observation", observation))
         if rows.ndim != 2 or rows.shape[1] != len(self.signals):
             raise ParameterError(f"observation must have {len(self.signals)} signals, got the shape {np.shape(observation)}")
         columns = np.array([self.signals.index(name) for name in STATE])
         return self._evaluate(rows, columns).reshape((*np.shape(observation)[:-1], 1)), state
 
     def _evaluate(self, rows: npt.NDArray[Any], columns: npt.NDArray[np.int64]) -> SingleArray:
-        if not np.all(np.isfinite(rows[:, columns])):  # the compiled code trusts its arguments
-            raise ParameterError("observation must be finite")
         result = np.empty(len(rows), np.float32)
         evaluate(0, len(rows), rows, columns, *self._table, result)
         return np.clip(result, *np.array(self.bounds, np.float32), out=result)
@@ -715,26 +713,28 @@ def optimal_feedback(
     road = make_road(road)
     check_road(road)
     if bandwidth is not None:
-        road = road.with_bandwidth(positive("bandwidth", bandwidth))
+        road = road.with_bandwidth(within("bandwidth", bandwidth))
     check_weights(weights, road)
-    low, high = positive_range("bounds", bounds)
+    low, high = positive_range("bounds", bounds, "damping")
     if low == high:
-        raise ParameterError(f"bounds must be a pair (low, high) with low < high, got {bounds!r}")
+        raise ParameterError(f"bounds must be a pair (low, high) with low < high, got {shown(bounds)}")
     task = make_task(
         road=road,
-        speed=positive("speed", speed),
+        speed=within("speed", speed, "moving speed"),
         damping_range=(low, high),
         reward=weights,
         observation=STATE,
         natural_frequency=natural_frequency,
         control_interval=control_interval,
     )
-    tolerance, precision = positive("tolerance", tolerance), positive("precision", precision)
+    tolerance, precision = within("tolerance", tolerance, "relative_error"), within("precision", precision, "relative_error")
     if whole("refinements", refinements) > len(GRIDS):
-        raise ParameterError(f"refinements must be at most {len(GRIDS)}, got {refinements}")
-    whole("seed", seed, low=0)
+        raise ParameterError(f"refinements must be at most {len(GRIDS)}, got {shown(refinements)}")
+    whole("seed", seed, low=0, of="seed")
+    if not (cache is None or isinstance(cache, (str, os.PathLike))):
+        raise ParameterError(f"cache must be a folder or None, got {shown(cache)}")
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-    threads = available if threads is None else whole("threads", threads)
+    threads = available if threads is None else whole("threads", threads, of="threads")
 
     description = {
         "format": FORMAT,

@@ -12,6 +12,7 @@ import csv
 import dataclasses
 import functools
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from matplotlib.colors import LogNorm, PowerNorm
 from matplotlib.figure import Figure
 
 from roadgym.files import whole_file
-from roadgym.parameters import ParameterError
+from roadgym.parameters import ParameterError, shown, whole
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
 
@@ -92,10 +93,16 @@ def write(
     Raises:
         ParameterError: a figure that the paper does not have, or a folder that cannot be written.
     """
-    chosen = list(FIGURES if numbers is None else dict.fromkeys(numbers))
+    try:
+        asked = list(FIGURES if numbers is None else numbers)
+    except Exception:  # whatever a foreign object may raise
+        raise ParameterError(f"numbers must be of the figures {', '.join(map(str, FIGURES))}, got {shown(numbers)}") from None
+    chosen = list(dict.fromkeys(whole("figure", number) for number in asked))
     for number in chosen:
         if number not in FIGURES:
-            raise ParameterError(f"figure must be one of {', '.join(map(str, FIGURES))}, got {number}")
+            raise ParameterError(f"figure must be one of {', '.join(map(str, FIGURES))}, got {shown(number)}")
+    if not isinstance(folder, (str, os.PathLike)):
+        raise ParameterError(f"folder must name a folder, got {shown(folder)}")
     target = Path(folder)
     files = []
     try:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.parameters import positive, positive_range
+from roadgym.parameters import positive_range, within
 from roadgym.reward import check_weights
 from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
-from .checks import FloatArray, broadcast, non_negative_array, positive_array
-from .response import RELATIVE_ERROR, mean_squares, needs_simulation
+from .checks import FloatArray, broadcast, check_size
+from .response import RELATIVE_ERROR, checked_bandwidth, checked_speed, mean_squares, needs_simulation
 from .simulation import driven_optimum
 
 DISPLACEMENT: Mapping[str, float] = MappingProxyType({"displacement": 1.0})
@@ -77,13 +77,18 @@ def optimal_damping(
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
     checked = check_weights(weights, road, speed_noise)
-    low, high = positive_range("bounds", bounds)
-    arrays = {"speed": non_negative_array("speed", speed)}
+    driven = needs_simulation(road, speed_noise)
+    low, high = positive_range("bounds", bounds, "damping" if driven else "constant damping")
+    natural_frequency = within("natural_frequency", natural_frequency)
+    relative_error = within("relative_error", relative_error)
+    if speed_noise is not None:
+        speed_noise.check_range(natural_frequency, driven=driven)
+    arrays = {"speed": checked_speed(speed, road, natural_frequency)}
     if bandwidth is not None:
-        arrays["bandwidth"] = positive_array("bandwidth", bandwidth)
+        arrays["bandwidth"] = checked_bandwidth(bandwidth, road)
     speed, *rest = broadcast(**arrays)
-    if needs_simulation(road, speed_noise):
-        positive("relative_error", relative_error)
+    check_size("operating points", "speed and bandwidth", speed.size, "driven points" if driven else "operating points")
+    if driven:
         found = np.empty((4, *speed.shape))
         for index in np.ndindex(speed.shape):
             here = road.with_bandwidth(float(rest[0][index])) if rest else road
@@ -91,7 +96,7 @@ def optimal_damping(
                 here,
                 speed_noise,
                 speed=float(speed[index]),
-                natural_frequency=positive("natural_frequency", natural_frequency),
+                natural_frequency=natural_frequency,
                 weights=tuple(checked.values()),
                 bounds=(low, high),
                 relative_error=relative_error,

@@ -32,7 +32,7 @@ import numpy as np
 from roadgym.parameters import ParameterError
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
 
-from .checks import ComplexArray, FloatArray
+from .checks import ComplexArray, FloatArray, check_size
 
 Function: TypeAlias = tuple[ComplexArray, ComplexArray]  # (x, y) for x + y A
 MeanSquaresOfFilter: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # P_0, P_1, P_2, P_3
@@ -149,7 +149,9 @@ def _low_pass(
 
     x = y = np.zeros(np.broadcast(damping, frequency_ratio).shape, dtype=np.complex128)
     fractions: list[Function] = []  # X_0, X_1, X_2, X_3 in the end
-    for n in range(_levels(damping, corner, variance), -1, -1):
+    levels = _levels(damping, corner, variance)
+    check_size("terms of the series of low_pass speed_noise", "damping and speed", levels * x.size, "series")
+    for n in range(levels, -1, -1):
         constant, slope = turn + n * corner + (n + 1) * variance * x, 1 + (n + 1) * variance * y
         determinant = constant * constant + twice * constant * slope + slope * slope
         x, y = (constant + twice * slope) / determinant, -slope / determinant
@@ -177,11 +179,12 @@ def _levels(damping: FloatArray, corner: float, variance: float) -> int:
     One step shrinks it by about exp(-r/(spread sqrt(n))), r being the slowest rate of decay at level n and spread^2 = variance;
     the sum over n of either part of r, that of the car or n w_g, may do it. The 24 serves noise that is weak or fast.
     """
-    slowest = float(np.min(slowest_decay(damping)))
+    slowest = float(np.min(slowest_decay(damping), initial=1.0))
     spread = math.sqrt(variance)
     levels = 24 + math.ceil(1.1 * min((18 * spread / slowest) ** 2, float((54 * spread / corner) ** (2 / 3))))
     if levels > MOST_LEVELS:
+        softest = float(np.min(damping, initial=np.inf))
         raise ParameterError(
-            f"low_pass speed_noise must be weaker or faster at damping {np.min(damping):g}: its series needs {levels} terms"
+            f"low_pass speed_noise must be weaker or faster at damping {softest:g}: its series needs {levels} terms"
         )
     return levels

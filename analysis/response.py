@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from roadgym.car import MEAN_SQUARES, QuarterCar
 from roadgym.linear import LinearSystem
-from roadgym.parameters import ParameterError, positive
+from roadgym.parameters import ParameterError, within
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
-from .checks import FloatArray, broadcast, non_negative_array, positive_array
+from .checks import FloatArray, broadcast, check_size, range_array, ratio_array
 from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares
 from .simulation import driven_mean_squares
 
@@ -86,21 +86,25 @@ def mean_squares(
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
-    natural_frequency = positive("natural_frequency", natural_frequency)
-    arrays = {"damping": positive_array("damping", damping), "speed": non_negative_array("speed", speed)}
+    natural_frequency = within("natural_frequency", natural_frequency)
+    driven = needs_simulation(road, speed_noise)
+    if speed_noise is not None:
+        speed_noise.check_range(natural_frequency, driven=driven)
+    relative_error = within("relative_error", relative_error)
+    arrays = {
+        "damping": range_array("damping", damping, "damping" if driven else "constant damping"),
+        "speed": checked_speed(speed, road, natural_frequency),
+    }
     if bandwidth is not None:
-        arrays["bandwidth"] = positive_array("bandwidth", bandwidth)
-        if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
-            raise ParameterError(f"bandwidth must be None: a {road.kind} road has none")
+        arrays["bandwidth"] = checked_bandwidth(bandwidth, road)
     elif isinstance(road, (GaussianRoad, MultiplicativeRoad)):
         arrays["bandwidth"] = np.asarray(road.bandwidth)
     damping, speed, *rest = broadcast(**arrays)
     ratio = speed * (road.wavenumber / natural_frequency)
-    if needs_simulation(road, speed_noise):
+    if driven:
+        check_size("operating points to simulate", "damping and speed", damping.size, "driven points")
         bandwidths = rest[0] if bandwidth is not None else None
-        return _simulated(
-            road, speed_noise, damping, speed, natural_frequency, bandwidths, positive("relative_error", relative_error)
-        )
+        return _simulated(road, speed_noise, damping, speed, natural_frequency, bandwidths, relative_error)
     if isinstance(road, HarmonicRoad):
         p0, p1, p2, p3 = filter_mean_squares(speed_noise, damping, ratio, natural_frequency)
     elif isinstance(road, FirstOrderRoad):
@@ -118,6 +122,24 @@ def mean_squares(
         travel=road.variance * p2,
         relative_velocity=road.variance * p3,
     )
+
+
+def checked_speed(speed: npt.ArrayLike, road: Road, natural_frequency: float) -> FloatArray:
+    """Speeds v >= 0, m/s, whose frequency ratios are in the range of closed forms."""
+    result = range_array("speed", speed, "any speed")
+    ratio = result * (road.wavenumber / natural_frequency)
+    ratio_array("speed", result, "nu = speed * wavenumber/natural_frequency", ratio, "constant frequency ratio")
+    return result
+
+
+def checked_bandwidth(bandwidth: npt.ArrayLike, road: Road) -> FloatArray:
+    """Bandwidths in place of the road's: on second-order roads, and not on an ellipse, whose variance each would change."""
+    result = range_array("bandwidth", bandwidth, "constant bandwidth")
+    if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+        raise ParameterError(f"bandwidth must be None: a {road.kind} road has none")
+    for other in result[result != road.bandwidth].flat[:1]:
+        road.with_bandwidth(float(other))
+    return result
 
 
 def needs_simulation(road: Road, speed_noise: SpeedNoise | None) -> bool:
@@ -176,6 +198,7 @@ def covariance(
     road = make_road(road)
     if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
         raise ParameterError(f"road must be gaussian or multiplicative, got a {road.kind} road")
-    damping, speed = broadcast(damping=positive_array("damping", damping), speed=non_negative_array("speed", speed))
-    nu = speed * (road.wavenumber / positive("natural_frequency", natural_frequency))
+    w1 = within("natural_frequency", natural_frequency)
+    damping, speed = broadcast(damping=range_array("damping", damping, "damping"), speed=checked_speed(speed, road, w1))
+    nu = speed * (road.wavenumber / w1)
     return road.variance * LinearSystem.of(road.shaping_filter(), QuarterCar().motion, damping=damping, ratio=nu).covariance()

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from roadgym.parameters import ParameterError
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 
-from .checks import FloatArray, broadcast, number_array, positive_array
+from .checks import FloatArray, broadcast, range_array, ratio_array
 
 
 def density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike, slope: npt.ArrayLike) -> FloatArray:
@@ -34,7 +34,7 @@ def density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike, slope: n
             a harmonic road lie on a curve; a multiplicative road on an ellipse, whose density is not known.
     """
     road = make_road(road)
-    z, u = broadcast(level=number_array("level", level), slope=number_array("slope", slope))
+    z, u = broadcast(level=range_array("level", level, "array entry"), slope=range_array("slope", slope, "array entry"))
     if isinstance(road, GaussianRoad):
         return np.exp(-(z * z + u * u) / (2 * road.variance)) / (2 * math.pi * road.variance)
     if isinstance(road, MultiplicativeRoad):
@@ -70,7 +70,7 @@ def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike)
         p, 1/m, in the shape of ``level``; zero beyond the bound of the road, and infinite at it where the law is singular.
     """
     road = make_road(road)
-    z = number_array("level", level)
+    z = range_array("level", level, "array entry")
     if isinstance(road, (FirstOrderRoad, GaussianRoad)):
         return np.exp(-z * z / (2 * road.variance)) / math.sqrt(2 * math.pi * road.variance)
     if isinstance(road, HarmonicRoad):
@@ -102,8 +102,11 @@ def spectral_density(road: str | Mapping[str, Any] | Road, frequency: npt.ArrayL
         ParameterError: a harmonic road, whose spectrum is a pair of lines.
     """
     road = make_road(road)
-    w, v = broadcast(frequency=number_array("frequency", frequency), speed=positive_array("speed", speed))
+    w, v = broadcast(
+        frequency=range_array("frequency", frequency, "array entry"), speed=range_array("speed", speed, "moving speed")
+    )
     turn = v * road.wavenumber
+    ratio_array("speed", v, "speed * wavenumber", turn, "angular rate")
     x = w / turn
     if isinstance(road, FirstOrderRoad):
         return 2 * road.variance / (turn * (1 + x * x))

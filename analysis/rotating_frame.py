@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.parameters import ParameterError, positive
+from roadgym.parameters import ParameterError, within
 from roadgym.roads import HarmonicRoad
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
 
-from .checks import ComplexArray, FloatArray, broadcast, non_negative_array, one_of, positive_array
+from .checks import ComplexArray, FloatArray, broadcast, one_of, range_array
 from .phase_noise import mean_transfer
+from .response import checked_speed
 
 FORMS = ("exact", "closure", "printed")
 ROTATION = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0], [0.0, 0.0, 1.0, 0.0]])  # B of (26)
@@ -78,9 +79,11 @@ def moment_system(
         amplitude: mu of the road, m.
         form: "closure", with the right signs of Ito's calculus, or "printed".
     """
-    noise = make_speed_noise(speed_noise, HarmonicRoad(amplitude=amplitude, wavenumber=wavenumber))
-    damping, speed = broadcast(damping=positive_array("damping", damping), speed=non_negative_array("speed", speed))
-    w1 = positive("natural_frequency", natural_frequency)
+    road, noise, w1 = _plant(speed_noise, wavenumber, natural_frequency, amplitude)
+    wavenumber, amplitude = road.wavenumber, road.amplitude
+    damping, speed = broadcast(
+        damping=range_array("damping", damping, "constant damping"), speed=checked_speed(speed, road, w1)
+    )
     sign = {"closure": -1.0, "printed": 1.0}[one_of("form", form, FORMS[1:])]
     white = noise.intensity**2 / 2 if isinstance(noise, (WhiteSpeedNoise, HighPassSpeedNoise)) else 0.0
     turn = wavenumber * speed
@@ -135,7 +138,7 @@ def mean_amplitude(
     Returns:
         E C, m, in the common shape.
     """
-    noise = make_speed_noise(speed_noise, HarmonicRoad(amplitude=amplitude, wavenumber=wavenumber))
+    road, noise, w1 = _plant(speed_noise, wavenumber, natural_frequency, amplitude)
     if one_of("form", form, FORMS) != "exact":
         means = moment_system(
             noise,
@@ -147,6 +150,18 @@ def mean_amplitude(
             form=form,
         ).stationary()
         return (means[..., 0] - 1j * means[..., 1])[()]
-    damping, speed = broadcast(damping=positive_array("damping", damping), speed=non_negative_array("speed", speed))
-    w1 = positive("natural_frequency", natural_frequency)
-    return (amplitude * mean_transfer(noise, damping, speed * (wavenumber / w1), w1))[()]
+    damping, speed = broadcast(
+        damping=range_array("damping", damping, "constant damping"), speed=checked_speed(speed, road, w1)
+    )
+    return (road.amplitude * mean_transfer(noise, damping, speed * (road.wavenumber / w1), w1))[()]
+
+
+def _plant(
+    speed_noise: str | Mapping[str, Any] | SpeedNoise | None, wavenumber: float, natural_frequency: float, amplitude: float
+) -> tuple[HarmonicRoad, SpeedNoise | None, float]:
+    """Road, noise and w1, checked."""
+    road = HarmonicRoad(amplitude=amplitude, wavenumber=wavenumber)
+    noise, w1 = make_speed_noise(speed_noise, road), within("natural_frequency", natural_frequency)
+    if noise is not None:
+        noise.check_range(w1, driven=False)
+    return road, noise, w1

@@ -21,7 +21,7 @@ from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
 from roadgym.task import LARGEST_ANGLE, make_task
 
-from .checks import FloatArray
+from .checks import FloatArray, check_size
 from .phase_noise import slowest_decay
 from .quadratic import interval_mean, periodic_mean_squares, plant_system
 
@@ -103,6 +103,8 @@ def drive(
     skipped = math.ceil(SETTLED * max(memories) / interval)
     measured = math.ceil(RECORD_ANGLE / min(turn, natural_frequency) / interval)
 
+    work = (skipped + measured) * task.substeps * lanes
+    check_size("substeps of all lanes", "speed, damping and lanes", work, "work")
     window = np.hanning(measured + 2)[1:-1]
     waves = window[:, None] * np.exp(-1j * interval * np.outer(np.arange(measured), frequencies))
     transform = np.zeros((len(frequencies), lanes), np.complex128)

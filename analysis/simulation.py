@@ -41,14 +41,14 @@ from roadgym.car import MEAN_SQUARES, QuarterCar
 from roadgym.compiled import LANES, LEVEL, SLOPE, LaneFunction, call, compiled
 from roadgym.kernel import RESULT_SQUARE
 from roadgym.noise import fill_words, keys_from_seeds, normal_pair
-from roadgym.parameters import ParameterError, non_negative, number, positive, whole
+from roadgym.parameters import ParameterError, check_ratio, number, shown, whole, within
 from roadgym.plant import Plant
 from roadgym.reward import divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SpeedNoise, WhiteSpeedNoise, make_speed_noise
-from roadgym.task import LARGEST_ANGLE, fastest_rate, make_task
+from roadgym.task import LARGEST_ANGLE, LARGEST_DECAY, fastest_rate, make_task
 
-from .checks import FloatArray, non_negative_array, one_of, positive_array
+from .checks import FloatArray, check_size, one_of, range_array
 from .phase_noise import slowest_decay
 
 SETTLED = 8.0  # times the slowest time constant before a record: e^-8 of the start is left
@@ -93,7 +93,8 @@ def drive_together(
     """
     low, high = float(damping.min()), float(damping.max())
     turn = speed * road.wavenumber
-    fastest = fastest_rate(road, speed_noise, QuarterCar(natural_frequency=natural_frequency), speed)
+    own = getattr(road, "bandwidth", 0.0)
+    fastest = fastest_rate(road, speed_noise, QuarterCar(natural_frequency=natural_frequency), speed, own)
     interval = INTERVAL_SUBSTEPS * LARGEST_ANGLE / fastest
     task = make_task(
         road=road,
@@ -102,7 +103,7 @@ def drive_together(
         damping_range=(low / 2, high),
         natural_frequency=natural_frequency,
         control_interval=interval,
-        substeps=max(INTERVAL_SUBSTEPS, math.ceil(high * interval * natural_frequency)),
+        substeps=max(INTERVAL_SUBSTEPS, math.ceil(high * interval * natural_frequency / LARGEST_DECAY)),
     )
     plant = Plant(task, damping.size * lanes)
     everyone = np.ones(plant.num_envs, np.bool_)
@@ -116,14 +117,19 @@ def drive_together(
     settled_road = not isinstance(road, MultiplicativeRoad) or road.is_circle
     if not settled_road:
         memory = max(memory, 1 / (float(slowest_decay(np.asarray(task.bandwidth[0]))) * turn))
-    for _ in range(math.ceil(SETTLED * memory / interval)):
+    work = task.substeps * plant.num_envs
+    settling = math.ceil(SETTLED * memory / interval)
+    check_size("substeps of all lanes until the start is forgotten", "speed and damping", settling * work, "work")
+    for _ in range(settling):
         plant.step(actions)
 
     chosen = [MEAN_SQUARES.index(name) for name in names if name not in divergent_terms(road, speed_noise)]
     rows = [LEVEL, SLOPE] if road.has_slope else [LEVEL]
     totals, controls, steps = np.zeros((5, damping.size, lanes)), np.zeros((len(rows), lanes)), 0
     while True:
-        for _ in range(math.ceil(memory / interval)):
+        more = math.ceil(memory / interval)
+        check_size(f"substeps of all lanes, where relative_error is {relative_error:g},", "it", (steps + more) * work, "work")
+        for _ in range(more):
             totals += plant.step(actions)[1][RESULT_SQUARE : RESULT_SQUARE + 5].reshape(totals.shape)
             for control, row in zip(controls, rows, strict=True):
                 control += plant.row(row)[:lanes].astype(np.float64) ** 2
@@ -496,6 +502,7 @@ class _System:
         noises: how many drive it.
         spread: of Psi at the start, rad.
         memory: how long the start is remembered, in units of 1/w1.
+        longest_step: h beyond which steps of twice that, which measure the bias, may diverge.
     """
 
     step: LaneFunction
@@ -503,6 +510,7 @@ class _System:
     noises: int
     spread: float
     memory: float
+    longest_step: float
 
 
 def _strength(speed_noise: SpeedNoise | None, natural_frequency: float) -> float:
@@ -522,6 +530,8 @@ def _amplitudes(mu: float, strength: float, damping: float, ratio: float, form: 
         1,
         0.0,
         1 / rate if rate > 0 else math.inf,
+        # a step h of Euler's turns a rotation r into a growth h r^2/2, and noise adds h s^4/8
+        rate / ((1 + ratio + 2 * damping) ** 2 + square**2) if rate > 0 else math.inf,
     )
 
 
@@ -546,7 +556,11 @@ def _make_system(
         corner, pull, white = speed_noise.rates
         corner, pull = corner / natural_frequency, pull / natural_frequency
     spread = strength / math.sqrt(2 * corner) if corner else 0.0
-    memory = 1 / float(slowest_decay(np.asarray(damping)))
+    slowest = float(slowest_decay(np.asarray(damping)))
+    memory = 1 / slowest
+    # Euler's steps amplify a free motion of the car unless h < D/2 and h < 1/(2 D); the phase may turn by 0.5 rad a step
+    longest = min(damping / 2, 0.5 / damping, 0.5 / max(corner, 1e-9))
+    noise_rate = max(strength**2 / 0.025 if white else 0.0, 10 * abs(pull) * spread)
     if isinstance(road, HarmonicRoad):
         feed = strength if corner else 0.0
         return _System(
@@ -557,12 +571,15 @@ def _make_system(
             1,
             spread,
             memory,
+            min(longest, 1 / max(2 * ratio, noise_rate, 1e-9)),
         )
     limits = (0.0, 0.0)
     if isinstance(road, FirstOrderRoad):
         kick, loss, road_memory = road.noise_intensity, -1.0, 1 / ratio
+        road_step = 0.5
     elif isinstance(road, (GaussianRoad, MultiplicativeRoad)):
         kick, loss = road.noise_intensity, 2 * road.bandwidth
+        road_step = min(road.bandwidth / 2, 0.5 / road.bandwidth)
         road_memory = 1 / (float(slowest_decay(np.asarray(road.bandwidth))) * ratio)
         if isinstance(road, MultiplicativeRoad):
             limits = (road.level_bound**-2, (road.slope_bound or road.level_bound) ** -2)
@@ -579,6 +596,7 @@ def _make_system(
         1 if speed_noise is None else 2,
         spread,
         max(memory, road_memory),
+        min(longest, road_step / (ratio + 3 * abs(pull) * spread)),
     )
 
 
@@ -627,20 +645,35 @@ def simulate(
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
-    damping, w1 = positive("damping", damping), positive("natural_frequency", natural_frequency)
-    check = non_negative_array if isinstance(road, HarmonicRoad) else positive_array
-    speeds = check("speed", speed).reshape(-1).tolist()
-    h = positive("time_step", time_step)
-    if whole("lanes", lanes) % LANES:
+    damping, w1 = within("damping", damping), within("natural_frequency", natural_frequency)
+    speeds = range_array("speed", speed, "any speed" if isinstance(road, HarmonicRoad) else "moving speed").reshape(-1).tolist()
+    check_size("speeds", "speed", len(speeds), "driven points")
+    for value in speeds:
+        ratio = value * road.wavenumber / w1
+        check_ratio("speed", value, "nu = speed * wavenumber/natural_frequency", ratio, "any frequency ratio")
+    if speed_noise is not None:
+        speed_noise.check_range(w1)
+    h = within("time_step", time_step)
+    if whole("lanes", lanes, of="lanes") % LANES:
         raise ParameterError(f"lanes must be a multiple of {LANES}, got {lanes}")
-    if whole("samples", samples) < CHUNK * lanes:
+    if whole("samples", samples, of="samples") < CHUNK * lanes:
         raise ParameterError(f"samples must be at least {CHUNK * lanes} for {lanes} lanes, got {samples}")
-    whole("seed", seed, low=0)
+    whole("seed", seed, low=0, of="seed")
     low, high, cells = _histogram(histogram)
     if threads is not None:
-        whole("threads", threads)
+        whole("threads", threads, of="threads")
 
     systems = [_make_system(road, speed_noise, damping, value, w1, form) for value in speeds]
+    for system in systems:
+        check_ratio(
+            "time_step",
+            h,
+            "it over the longest that is stable at this damping and speed",
+            h / system.longest_step,
+            "Euler step",
+        )
+        work = samples + SETTLED * system.memory / h * lanes
+        check_size("steps of all lanes", "samples, lanes and time_step", work * len(speeds), "work")
     blocks = lanes // LANES
     chunks = math.ceil(samples / lanes / CHUNK)
     seeds = np.random.SeedSequence(seed)
@@ -686,12 +719,12 @@ def _histogram(value: Any) -> tuple[float, float, int]:
     """Low edge, high edge and number of cells; no cells for None."""
     if value is None:
         return 0.0, 1.0, 0
-    if not isinstance(value, Sequence) or len(value) != 3:
-        raise ParameterError(f"histogram must be (low, high, cells), got {value!r}")
+    if not isinstance(value, Sequence) or isinstance(value, (str, bytes)) or len(value) != 3:
+        raise ParameterError(f"histogram must be (low, high, cells), got {shown(value)}")
     low, high = number("histogram, low edge,", value[0]), number("histogram, high edge,", value[1])
     if low >= high:
-        raise ParameterError(f"histogram must be (low, high, cells) with low < high, got {value!r}")
-    return low, high, whole("histogram, number of cells,", value[2])
+        raise ParameterError(f"histogram must be (low, high, cells) with low < high, got {shown(value)}")
+    return low, high, whole("histogram, number of cells,", value[2], of="cells")
 
 
 def _in_threads(
@@ -822,21 +855,32 @@ def simulate_stability(
     """
     one_of("form", form, FORMS)
     if threads is not None:
-        whole("threads", threads)
-    damping, w1 = positive("damping", damping), positive("natural_frequency", natural_frequency)
-    ratio = non_negative("speed", speed) * positive("wavenumber", wavenumber) / w1
-    strength = positive("intensity", intensity) / math.sqrt(w1)
-    h = positive("time_step", time_step)
-    if whole("lanes", lanes) % (2 * LANES):
+        whole("threads", threads, of="threads")
+    damping, w1 = within("damping", damping), within("natural_frequency", natural_frequency)
+    ratio = within("speed", speed, "any speed") * within("wavenumber", wavenumber) / w1
+    check_ratio("speed", speed, "nu = speed * wavenumber/natural_frequency", ratio, "any frequency ratio")
+    strength = within("intensity", intensity, "noise_intensity") / math.sqrt(w1)
+    check_ratio("intensity", intensity, "sigma/sqrt(w1)", strength, "relative intensity")
+    h = within("time_step", time_step)
+    turn = (ratio + 1 + 2 * damping) ** 2 + strength**4
+    check_ratio(
+        "time_step",
+        h,
+        "it over the longest that is stable at this damping and speed",
+        h * max(turn, 40 * strength**2),
+        "Euler step",
+    )
+    if whole("lanes", lanes, of="lanes") % (2 * LANES):
         raise ParameterError(f"lanes must be a multiple of {2 * LANES}, got {lanes}")
-    whole("seed", seed, low=0)
+    whole("seed", seed, low=0, of="seed")
     chunk = CHUNK * h
     # per interval the amplitudes turn by less than half a turn, and the noise by five standard deviations less
     per_interval = max(1, int(min(0.5 / (ratio + 1 + 2 * damping), 0.1 / strength**2) / chunk))
     per_window = max(1, round(1 / (per_interval * chunk)))
-    windows = whole("samples", samples) // (lanes * CHUNK * per_interval * per_window)
+    windows = whole("samples", samples, of="samples") // (lanes * CHUNK * per_interval * per_window)
     if windows < 1:
         raise ParameterError(f"samples must be at least {lanes * CHUNK * per_interval * per_window}, got {samples}")
+    check_size("intervals", "samples over lanes, and time_step", windows * per_window, "stability intervals")
     original = form == "original"
     address = (step_waves if original else step_amplitudes).address(np.float64)
     addresses = np.array([fill_words.address(np.uint32), address])

@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.parameters import positive
+from roadgym.parameters import within
 
-from .checks import FloatArray, broadcast, non_negative_array, one_of
+from .checks import FloatArray, broadcast, one_of, range_array
 from .phase_noise import slowest_decay
 
 # sigma^2 enters the exponents with this factor, by sense and form
@@ -49,10 +49,10 @@ def lyapunov_exponents(
         Top and second exponent, 1/s, in the common shape; equal for D <= 1.
     """
     damping, intensity = broadcast(
-        damping=non_negative_array("damping", damping), intensity=non_negative_array("intensity", intensity)
+        damping=range_array("damping", damping, "free damping"), intensity=range_array("intensity", intensity, "free intensity")
     )
     noise = _noise_factor(sense, form) * intensity**2
-    w1 = positive("natural_frequency", natural_frequency)
+    w1 = within("natural_frequency", natural_frequency)
     slow = slowest_decay(damping)
     return noise - w1 * slow, noise - w1 * (2 * damping - slow)
 
@@ -71,9 +71,11 @@ def rotation_numbers(
     Returns:
         The upper and the lower one, rad/s, in the common shape; equal for D >= 1.
     """
-    damping, speed = broadcast(damping=non_negative_array("damping", damping), speed=non_negative_array("speed", speed))
-    turn = positive("wavenumber", wavenumber) * speed
-    own = positive("natural_frequency", natural_frequency) * np.sqrt(np.maximum((1 - damping) * (1 + damping), 0.0))
+    damping, speed = broadcast(
+        damping=range_array("damping", damping, "free damping"), speed=range_array("speed", speed, "any speed")
+    )
+    turn = within("wavenumber", wavenumber) * speed
+    own = within("natural_frequency", natural_frequency) * np.sqrt(np.maximum((1 - damping) * (1 + damping), 0.0))
     return turn + own, turn - own
 
 
@@ -92,9 +94,9 @@ def critical_noise(
         Critical sigma^2, rad^2/s, in the shape of ``damping``; infinite where stability is never lost. In the form "ito" that
         is everywhere but at D = 0 almost surely, where the amplitudes are neutral under any noise and the answer is 0.
     """
-    damping = non_negative_array("damping", damping)
+    damping = range_array("damping", damping, "free damping")
     factor = _noise_factor(sense, form)
-    w1 = positive("natural_frequency", natural_frequency)
+    w1 = within("natural_frequency", natural_frequency)
     if factor > 0:
         return w1 * slowest_decay(damping) / factor
     return np.where((damping > 0) | (factor < 0), np.inf, 0.0)[()]

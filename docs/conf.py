@@ -15,7 +15,8 @@ nitpicky = True
 smartquotes = False  # Y' is a derivative
 exclude_patterns = ["_build", "_generated"]
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "commands", "docstrings", "gallery", "mathml"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions += ["commands", "docstrings", "gallery", "mathml", "ranges"]
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
 myst_links_external_new_tab = True

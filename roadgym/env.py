@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from . import ENVIRONMENT_ID
 from .car import MEAN_SQUARES
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
-from .parameters import ParameterError
+from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
 from .task import TaskParameters, make_task
 
@@ -25,11 +25,15 @@ RESET_OPTIONS = ("speed", "bandwidth")
 
 
 def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
-    """The options of a reset as a dictionary; an unknown name raises `ParameterError`."""
-    for name in options or {}:
+    """The options of a reset as a dictionary; an unknown name, or what is no mapping, raises `ParameterError`."""
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ParameterError(f"options must be a mapping with the keys {', '.join(known)}, got {shown(options)}")
+    for name in options:
         if name not in known:
-            raise ParameterError(f"unknown reset option {name!r}; known: {', '.join(known)}")
-    return dict(options or {})
+            raise ParameterError(f"unknown reset option {shown(name)}; known: {', '.join(known)}")
+    return dict(options)
 
 
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
@@ -66,8 +70,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         **parameters: Unpack[TaskParameters],
     ) -> None:
         if render_mode is not None:
-            if render_mode not in self.metadata["render_modes"]:
-                raise ParameterError(f"unknown render_mode {render_mode!r}; known: {', '.join(self.metadata['render_modes'])}")
+            if not isinstance(render_mode, str) or render_mode not in self.metadata["render_modes"]:
+                raise ParameterError(
+                    f"unknown render_mode {shown(render_mode)}; known: {', '.join(self.metadata['render_modes'])}"
+                )
             from . import rendering  # noqa: F401  (a missing pygame is told here, not in the middle of a drive)
         self.task = make_task(**parameters)
         self.render_mode = render_mode
@@ -98,11 +104,12 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
         """Begin the next episode; see the class for ``options``."""
         forced = self._plant.forced(check_options(options))
+        seed = None if seed is None else whole("seed", seed, low=0, of="seed")
         super().reset(seed=seed)
         if seed is None and not self._plant.started:
             seed = int(self.np_random.integers(2**63))
         if seed is not None:
-            self._plant.seed(np.array([seed % 2**64], np.uint64), self._mask)
+            self._plant.seed(np.array([seed], np.uint64), self._mask)
         observations, results = self._plant.reset(forced, self._mask)
         if self.render_mode is not None:
             from .rendering import History
@@ -116,9 +123,9 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""
         if not self._plant.started:
             raise ResetNeeded("call reset before step")
-        actions = np.asarray(action, np.float32)
-        if actions.shape != (1,) or not math.isfinite(actions[0]):
-            raise ParameterError(f"action must be one finite number, shape (1,), got {action!r}")
+        actions = single_precision("action", action, (1,))
+        if not math.isfinite(actions[0]):
+            raise ParameterError(f"action must be one finite number, shape (1,), got {shown(action)}")
         observations, results, _, _ = self._plant.step(actions) if self.history is None else self.history.step(actions)
         values = results[:, 0].tolist()
         info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}

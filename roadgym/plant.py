@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba.core.errors import NumbaError
 
 from . import kernel
-from .compiled import LANES, SIZE
+from .compiled import LANES, SIZE, LaneFunction
 from .noise import fill_words, keys_from_seeds
-from .parameters import ParameterError
+from .parameters import ParameterError, number_array, shown, within
+from .roads import Road
+from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
 
 AUTORESET = {"next_step": kernel.NEXT_STEP, "same_step": kernel.SAME_STEP, "disabled": kernel.DISABLED}
@@ -29,6 +32,27 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     if key not in _pools:
         _pools[key] = ThreadPoolExecutor(threads, thread_name_prefix="roadgym")
     return _pools[key]
+
+
+PADDING = 4096  # numbers after a table, all NaN: what reads beyond its end shows, and reads nobody else's memory
+
+
+def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """The constants of a component for compiled code, with `PADDING` after them.
+
+    Raises:
+        ParameterError: no finite numbers in one row.
+    """
+    name = f"table of the {component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
+    # a bound of minus infinity is a constant too
+    row = number_array(name, table) if isinstance(component, Road) else np.asarray(table, np.float64)
+    if row.ndim != 1 or row.size == 0:
+        raise ParameterError(f"{name} must be one row of numbers, got the shape {row.shape}")
+    with np.errstate(over="ignore"):
+        constants = row.astype(dtype)
+    if np.any(np.isinf(constants) & np.isfinite(row)):
+        raise ParameterError(f"{name} must have numbers that {dtype} holds, up to {np.finfo(dtype).max:.2g}")
+    return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
 
 
 class PlantError(ArithmeticError):
@@ -71,9 +95,12 @@ class Plant:
         w1, road = task.car.natural_frequency, task.road
         substep = task.control_interval * w1 / task.substeps
         noise = task.speed_noise
-        self._road_table = road.table().astype(self.dtype)
-        speed_table = np.zeros(1) if noise is None else noise.table(substep, w1, road)
-        self._speed_table = speed_table.astype(self.dtype)
+        within(f"variance of the {road.kind} road", road.variance, "variance")
+        self._road_table = padded_table(road, road.table(), self.dtype)
+        if noise is None:
+            self._speed_table = np.zeros(1, self.dtype)
+        else:
+            self._speed_table = padded_table(noise, noise.table(substep, w1, road), self.dtype)
         self._numbers = np.zeros(kernel.SHARE + task.substeps + 1)
         self._numbers[: kernel.WEIGHT] = (
             substep,
@@ -92,21 +119,27 @@ class Plant:
         integers = np.zeros(kernel.INTEGERS, np.int64)
         integers[kernel.SUBSTEPS] = task.substeps
         integers[kernel.ROAD_WORDS] = road.words_per_substep
-        integers[kernel.ROAD_PREPARE] = 0 if road.prepare is None else road.prepare.address(self.dtype)
-        integers[kernel.ROAD_START] = road.start.address(self.dtype)
-        integers[kernel.ROAD_ADVANCE] = road.advance.address(self.dtype)
+        integers[kernel.ROAD_PREPARE] = 0 if road.prepare is None else self._address(road, road.prepare)
+        integers[kernel.ROAD_START] = self._address(road, road.start)
+        integers[kernel.ROAD_ADVANCE] = self._address(road, road.advance)
         integers[kernel.FILL_WORDS] = fill_words.address(np.uint32)
         integers[kernel.CAR_GRIP] = kernel.grip_road.address(self.dtype)
         integers[kernel.CAR_FOLLOW] = kernel.follow_road.address(self.dtype)
         if noise is not None:
             integers[kernel.SPEED_WORDS] = noise.words_per_substep
-            integers[kernel.SPEED_START] = noise.start.address(self.dtype)
-            integers[kernel.SPEED_ADVANCE] = noise.advance.address(self.dtype)
+            integers[kernel.SPEED_START] = self._address(noise, noise.start)
+            integers[kernel.SPEED_ADVANCE] = self._address(noise, noise.advance)
         integers[kernel.MAX_EPISODE_STEPS] = self._max_episode_steps
         integers[kernel.AUTORESET] = self._autoreset
         integers[kernel.WARM_UP_STEPS] = round(task.warm_up / task.control_interval)
         integers[kernel.HAS_SLOPE] = road.has_slope and (noise is None or noise.smooth)
         return integers
+
+    def _address(self, component: Road | SpeedNoise, function: LaneFunction) -> int:
+        try:
+            return function.address(self.dtype)
+        except NumbaError as error:
+            raise ParameterError(f"a lane function of the {component.kind} component does not compile: {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
@@ -159,12 +192,11 @@ class Plant:
             low, high = getattr(self.task, name)
             if high == 0:
                 raise ParameterError(f"option {name!r} does not exist: a {self.task.road.kind} road has no {name}")
-            try:
-                values = np.broadcast_to(np.asarray(value, float), self.num_envs)
-            except (TypeError, ValueError):
-                raise ParameterError(f"option {name!r} must be a number or {self.num_envs} numbers, got {value!r}") from None
+            values = number_array(f"option {name!r}", value)
+            if values.shape not in ((), (1,), (self.num_envs,)):
+                raise ParameterError(f"option {name!r} must be a number or {self.num_envs} numbers, got {shown(value)}")
             if not np.all((values >= low) & (values <= high)):
-                raise ParameterError(f"option {name!r} must lie within [{low:g}, {high:g}], got {value!r}")
+                raise ParameterError(f"option {name!r} must lie within [{low:g}, {high:g}], got {shown(value)}")
             forced[row] = self.task.frequency_ratio(values) if name == "speed" else values
         return forced
 

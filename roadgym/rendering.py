@@ -23,7 +23,7 @@ import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
 from . import kernel
-from .compiled import BANDWIDTH, DISPLACEMENT, LANES, LEVEL, SIZE, SPEED, TURN
+from .compiled import BANDWIDTH, DISPLACEMENT, LANES, LEVEL, SIZE, SPEED, TURN, LaneFunction
 from .noise import INTERVAL
 from .plant import Plant
 from .task import Task
@@ -65,6 +65,11 @@ ZOOM = 0.98  # how fast the scale returns, a step
 POINTS = 4096  # of the road that are remembered at most
 
 
+@LaneFunction
+def keep_words(counters: Any, words: Any, request: Any) -> None:
+    """In place of `roadgym.noise.fill_words` where the words are there already."""
+
+
 class History:
     """What a picture shows of the episode that has just begun on ``plant``, one car.
 
@@ -95,23 +100,24 @@ class History:
         """`Plant.step`, remembered.
 
         The kernel reports where a step ends. How the road went in between, and how far the car came where its speed is noise,
-        is found by driving a copy of the car through the first substep, then the first two, and so on: the noise is a function
-        of counters, so the copy meets the same road.
+        is found by driving a copy of the car again, one substep after the other: the noise is a function of counters, so the
+        copy meets the same road.
         """
         plant = self._plant
-        state, counters = plant._state[:SIZE].copy(), plant._counters[: kernel.COUNTERS].copy()
+        lanes, counters = plant._state[:SIZE].copy(), plant._counters[: kernel.COUNTERS].copy()
         result = plant.step(actions)
         reward, self.damping = (float(result[1][row, 0]) for row in (kernel.REWARD, kernel.RESULT_DAMPING))
 
         integers, tables = plant._integers.copy(), (plant._road_table, plant._speed_table)
-        words_per_substep = integers[kernel.ROAD_WORDS] + integers[kernel.SPEED_WORDS]
-        words = np.empty(LANES * (plant.task.substeps * words_per_substep + 3), np.uint32)
-        scratch = kernel.make_scratch(state, plant._numbers)
+        numbers = plant._numbers
+        rows = int(integers[kernel.ROAD_WORDS] + integers[kernel.SPEED_WORDS])
+        words = np.empty(LANES * (plant.task.substeps * rows + 3), np.uint32)
+        kernel.draw_words(words, counters, integers, INTERVAL, plant.task.substeps * rows)
+        scratch = kernel.make_scratch(lanes, numbers)
         scratch[kernel.DAMPING : kernel.DAMPING + LANES] = self.damping
+        integers[kernel.SUBSTEPS], integers[kernel.FILL_WORDS] = 1, keep_words.address(np.uint32)
         for k in range(plant.task.substeps):
-            lanes = state.copy()
-            integers[kernel.SUBSTEPS] = k + 1
-            kernel.drive_interval(lanes, scratch, counters, words, *tables, integers, INTERVAL)
+            kernel.drive_interval(lanes, scratch, counters, words[LANES * rows * k :], *tables, integers, numbers, INTERVAL)
             end = self.path[-1][0] + float(lanes[TURN]), float(lanes[LEVEL])
             if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / PIXELS_PER_RADIAN:
                 self.path.pop()

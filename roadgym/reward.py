@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from .car import MEAN_SQUARES
-from .parameters import ParameterError, non_negative
+from .parameters import ParameterError, non_negative, shown, within
 from .roads import Road
 from .speed import SpeedNoise
 
@@ -24,15 +25,20 @@ def check_weights(weights: Mapping[str, float], road: Road, speed_noise: SpeedNo
         ParameterError: an unknown mean square, a negative weight, no positive weight, or weight on one that diverges.
     """
     if not isinstance(weights, Mapping):
-        raise ParameterError(f"reward must be a mapping from {', '.join(MEAN_SQUARES)} to weights, got {weights!r}")
+        raise ParameterError(f"reward must be a mapping from {', '.join(MEAN_SQUARES)} to weights, got {shown(weights)}")
     for name in weights:
         if name not in MEAN_SQUARES:
-            raise ParameterError(f"unknown reward term {name!r}; known: {', '.join(MEAN_SQUARES)}")
-    result = {name: non_negative(f"weight of {name}", weights.get(name, 0.0)) for name in MEAN_SQUARES}
+            raise ParameterError(f"unknown reward term {shown(name)}; known: {', '.join(MEAN_SQUARES)}")
+    result = {name: _weight(f"weight of {name}", weights.get(name, 0.0)) for name in MEAN_SQUARES}
     if not any(result.values()):
-        raise ParameterError(f"reward needs at least one positive weight, got {dict(weights)!r}")
+        raise ParameterError(f"reward needs at least one positive weight, got {shown(dict(weights))}")
     for name in divergent_terms(road, speed_noise):
         if result[name]:
             cause = f"{speed_noise.kind} speed noise" if speed_noise and road.has_slope else f"a {road.kind} road"
             raise ParameterError(f"the mean square of {name} is infinite on {cause}, so its weight must be 0")
     return result
+
+
+def _weight(name: str, value: Any) -> float:
+    """Zero, or a number in the range of weights."""
+    return within(name, value, "weight") if non_negative(name, value) else 0.0

@@ -37,8 +37,9 @@ from .compiled import (
     like,
 )
 from .noise import normal_pair
-from .parameters import ParameterError, positive
+from .parameters import ParameterError, check_ratio
 from .roads import Road, make_component
+from .roads.base import check_fields
 
 # the table: the substep, the pull of Psi on (Psi, angle, area), the Cholesky factor of their covariance, and four constants
 INTERVAL, PULL, FACTOR, VARIANCE, RATE_GAIN, SPREAD, FLOOR = 0, 1, 4, 10, 11, 12, 13
@@ -87,7 +88,7 @@ class SpeedNoise(abc.ABC):
     advance: ClassVar[LaneFunction] = advance
 
     def __post_init__(self) -> None:
-        positive("intensity", self.intensity)
+        check_fields(self, intensity="noise_intensity")
 
     @property
     @abc.abstractmethod
@@ -100,6 +101,19 @@ class SpeedNoise(abc.ABC):
             raise ParameterError(
                 f"{self.kind} speed noise is defined on the harmonic road only, because the speed contains white noise; "
                 f"on a {road.kind} road use low_pass speed noise or none"
+            )
+
+    def check_range(self, natural_frequency: float, *, driven: bool = True) -> None:
+        """Raise `ParameterError` unless intensity and corner frequency are in their ranges on a car of this w1, rad/s.
+
+        Those of a plant that is ``driven`` are narrower than those of closed forms.
+        """
+        kind = "" if driven else "constant "
+        relative = self.intensity / math.sqrt(natural_frequency)
+        check_ratio("intensity", self.intensity, "sigma/sqrt(w1)", relative, f"{kind}relative intensity")
+        if self.rates[0] > 0:
+            check_ratio(
+                "corner_frequency", self.rates[0], "w_g/w1", self.rates[0] / natural_frequency, f"{kind}relative corner"
             )
 
     def table(self, interval: float, natural_frequency: float, road: Road) -> npt.NDArray[np.float64]:
@@ -182,7 +196,7 @@ class LowPassSpeedNoise(SpeedNoise):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive("corner_frequency", self.corner_frequency)
+        check_fields(self, corner_frequency="corner_frequency")
 
     @property
     def rates(self) -> tuple[float, float, float]:
@@ -204,7 +218,7 @@ class HighPassSpeedNoise(SpeedNoise):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive("corner_frequency", self.corner_frequency)
+        check_fields(self, corner_frequency="corner_frequency")
 
     @property
     def rates(self) -> tuple[float, float, float]:
@@ -225,7 +239,7 @@ def make_speed_noise(speed_noise: str | Mapping[str, Any] | SpeedNoise | None, r
     Raises:
         ParameterError: unknown kind or parameter, a value out of range, or a noise that is not defined on ``road``.
     """
-    if speed_noise is None or speed_noise == "none":
+    if speed_noise is None or (isinstance(speed_noise, str) and speed_noise == "none"):
         return None
     noise = make_component("speed noise", speed_noise, SpeedNoise, SPEED_NOISES)  # type: ignore[type-abstract]
     noise.check_road(road)

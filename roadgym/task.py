@@ -12,14 +12,21 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from .car import MEAN_SQUARES, QuarterCar
+from .compiled import LaneFunction
 from .kernel import SIGNALS
-from .parameters import ParameterError, non_negative, number, positive, positive_range, whole
+from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
 from .reward import check_weights, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise
 
 SATURATION = 20.0  # standard deviations of the road at which an observed signal saturates
 LARGEST_ANGLE = 0.1  # largest angle, rad, of the car and of the road in a substep
+LARGEST_TURN_VARIANCE = 0.1  # largest variance, rad^2, of the random part of the harmonic road's angle in a substep
+LARGEST_DECAY = 0.2  # largest product of damping ratio and angle of the car in a substep
+BROAD = 3.0  # bandwidth beyond which a substep must resolve more than the road's angle
+SINGLE_DECAY = 8e-4  # least share of a slow motion that decays in a substep, for single precision to keep 1e-4 of it
+SINGLE_SUBSTEP = 0.004  # shortest substep, 1/w1, in which single precision does that with the velocity
+SINGLE_HARMONIC_ANGLE = 0.05  # least angle of the harmonic road in a substep for that: slower, the travel is lost in rounding
 OPERATING_POINT = ("speed", "bandwidth")
 
 
@@ -97,21 +104,126 @@ def _observable(road: Road, speed_noise: SpeedNoise | None, bandwidth: tuple[flo
     return names
 
 
-def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, speed: float) -> float:
-    """Largest angular rate, rad/s, that a substep must resolve: of the car, of the road at ``speed``, and of low-pass noise.
+def check_component(component: Road | SpeedNoise | None) -> None:
+    """Check the number of words and the lane functions of a road or a speed noise, which may be somebody's own.
+
+    Raises:
+        ParameterError: what is none of these.
+    """
+    if component is None:
+        return
+    name = f"the {component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
+    whole(f"words_per_substep of {name}", component.words_per_substep, low=0, of="words of a component")
+    functions = {"start": component.start, "advance": component.advance}
+    if isinstance(component, Road):
+        if not (isinstance(component.precision, str) and component.precision in ("float32", "float64")):
+            raise ParameterError(f'precision of {name} must be "float32" or "float64", got {shown(component.precision)}')
+        if component.prepare is not None:
+            functions["prepare"] = component.prepare
+    for role, function in functions.items():
+        if not isinstance(function, LaneFunction):
+            raise ParameterError(f"{role} of {name} must be a LaneFunction, got {shown(function)}")
+
+
+def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, speed: float, bandwidth: float = 0.0) -> float:
+    """Angular rate, rad/s, whose product with a substep must be at most `LARGEST_ANGLE`.
+
+    The largest of those of the car, of the road at ``speed``, and of the noise on the speed. A road of large ``bandwidth`` has
+    a fast motion beside its angle: from `BROAD` on, (bandwidth/BROAD)^(2/3) times its rate keeps the scheme's 1e-4.
+
+    On the harmonic road the variance of the random turn in a substep h, at most sigma^2 h, and less where a filter makes it
+    sigma^2 w_g h^2/2 (low-pass) or sigma^2/w_g (high-pass), is kept to `LARGEST_TURN_VARIANCE`, and w_g h to 1. Then for
+    sigma <= 10 sqrt(w1) and 0.01 w1 <= w_g <= 100 w1 the mean squares are within 1e-4 under white and high-pass noise, and
+    within 1e-3 under low-pass noise.
 
     On random roads a noise whose standard deviation is more than a quarter of the speed stops the car now and then. The angle
     of a substep is then cut at zero, and the substep must follow the noise: two of its standard deviations and three times its
     corner frequency keep the mean squares within 0.5 %.
     """
     rate = speed * road.wavenumber
-    fastest = max(rate, car.natural_frequency)
-    if speed_noise is not None and speed_noise.smooth and road.kind != "harmonic":
-        corner = speed_noise.rates[0]
-        deviation = speed_noise.intensity * math.sqrt(corner / 2)
-        if deviation > rate / 4:
-            fastest = max(fastest, rate + 2 * deviation, 3 * corner)
+    fastest = max(rate * math.pow(max(1.0, bandwidth / BROAD), 2 / 3), car.natural_frequency)
+    if speed_noise is None:
+        return fastest
+    square, corner = float(speed_noise.intensity**2), speed_noise.rates[0]
+    deviation = math.sqrt(square * corner / 2)  # of a low-pass noise
+    if road.kind == "harmonic":
+        turn = square * LARGEST_ANGLE / LARGEST_TURN_VARIANCE
+        if speed_noise.smooth:
+            turn = min(turn, deviation * LARGEST_ANGLE / math.sqrt(LARGEST_TURN_VARIANCE))
+        elif corner > 0 and square / corner <= LARGEST_TURN_VARIANCE:
+            turn = 0.0
+        return max(fastest, turn, LARGEST_ANGLE * corner)
+    if deviation > rate / 4:
+        return max(fastest, rate + 2 * deviation, 3 * corner)
     return fastest
+
+
+def check_plant(
+    road: Road, speed_noise: SpeedNoise | None, speeds: tuple[float, float], natural_frequency: float, what: str = "speed"
+) -> None:
+    """Raise `ParameterError` unless the frequency ratios of these ``speeds`` and the speed noise are in their ranges."""
+    for speed in speeds:
+        check_ratio(
+            what,
+            speed,
+            "nu = speed * wavenumber/natural_frequency",
+            speed * road.wavenumber / natural_frequency,
+            "frequency ratio",
+        )
+    if speed_noise is not None:
+        speed_noise.check_range(natural_frequency)
+
+
+def _needed_precision(
+    road: Road, ratio: float, bandwidths: tuple[float, float], damping: tuple[float, float], substep: float
+) -> str:
+    """The format that keeps the mean squares within 1e-4; ``ratio`` is the least nu, ``substep`` in units of 1/w1.
+
+    In a substep a slow motion loses little, and is rounded by 2^-24 of itself: the one must be much more than the other.
+    """
+    firm = max(damping[1], 1.0)
+    slowest = min(damping[0], 1 / (firm + math.sqrt(firm * firm - 1)))  # of the car: D - sqrt(D^2 - 1) beyond D = 1
+    slowest = min(slowest, *(ratio * min(delta, 0.5 / delta) if delta > 0 else ratio for delta in bandwidths))
+    single = slowest * substep >= SINGLE_DECAY and substep >= SINGLE_SUBSTEP
+    if road.kind == "harmonic":
+        single = single and ratio * substep >= SINGLE_HARMONIC_ANGLE
+    return road.precision if single else "float64"
+
+
+def _substeps(
+    road: Road,
+    speed_noise: SpeedNoise | None,
+    car: QuarterCar,
+    speeds: tuple[float, float],
+    bandwidth: float,
+    damping: float,
+    interval: float,
+    given: int | None,
+) -> int:
+    """Substeps in a control interval: those ``given`` if they are enough to be stable, or as many as it takes to be exact."""
+    # the slowest speed is the one that noise stops most easily, the fastest turns the road the fastest
+    angle = interval * max(fastest_rate(road, speed_noise, car, end, bandwidth) for end in speeds)
+    decay = damping * interval * car.natural_frequency
+    if given is None:
+        needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(decay / LARGEST_DECAY - 1e-9), 2)
+        check_ratio(
+            "control_interval",
+            interval,
+            "the number of substeps in it, at this speed, natural_frequency and bandwidth,",
+            needed,
+            "substeps",
+        )
+        return needed
+    number = whole("substeps", given, of="substeps")
+    # of a broad road the fast motion must not be skipped; on random roads too few substeps only follow the noise less well
+    followed = speed_noise if road.kind == "harmonic" else None
+    largest = interval * max(
+        fastest_rate(road, followed, car, speeds[1]),
+        damping * car.natural_frequency / 2,
+        speeds[1] * road.wavenumber * bandwidth,
+    )
+    check_ratio("substeps", given, "the largest angle in a substep", largest / number, "substep")
+    return number
 
 
 class TaskParameters(TypedDict, total=False):
@@ -167,58 +279,98 @@ def make_task(
         natural_frequency: w1 of the car, rad/s.
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
-            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 1, but at least two,
-            without which the mean squares are off where D switches (`roadgym.kernel.interval_weights`).
+            speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
+            two, without which the mean squares are off where D switches (`roadgym.kernel.interval_weights`). Fewer are less
+            exact: the mean squares are of fourth order in the angle, which may be 1 rad at most.
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.
-        precision: "float32" or "float64"; by default what the road needs.
+        precision: "float32" or "float64"; by default what keeps the mean squares within 1e-4: single precision, but for bounded
+            roads that touch their bound, slow roads and cars, and short substeps.
+
+    Ranges of all of them are in `roadgym.parameters.RANGES`.
 
     Raises:
         ParameterError: naming the parameter, its value and what is allowed.
     """
     the_road = make_road(road)
     noise = make_speed_noise(speed_noise, the_road)
-    car = QuarterCar(natural_frequency=natural_frequency)
+    for component in (the_road, noise):
+        check_component(component)
+    the_road.check_driven()
+    car = QuarterCar(natural_frequency=within("natural_frequency", natural_frequency))
+    w1 = car.natural_frequency
     speeds = positive_range("speed", speed)
+    check_plant(the_road, noise, speeds, w1)
     own = getattr(the_road, "bandwidth", None)
     if bandwidth is None:
-        bandwidths = (own, own) if own is not None else (0.0, 0.0)
+        bandwidths = (0.0, 0.0) if own is None else positive_range("bandwidth", own, "bandwidth")
     else:
-        the_road = the_road.with_bandwidth(positive_range("bandwidth", bandwidth)[0]) if own is None else the_road
-        bandwidths = positive_range("bandwidth", bandwidth)
-    damping = positive_range("damping_range", damping_range)
+        bandwidths = positive_range("bandwidth", bandwidth, "bandwidth")
+        for end in bandwidths:
+            the_road.with_bandwidth(end)  # which a road may refuse
+    damping = positive_range("damping_range", damping_range, "damping")
     if damping[0] == damping[1]:
-        raise ParameterError(f"damping_range must be a pair (low, high) with low < high, got {damping_range!r}")
+        raise ParameterError(f"damping_range must be a pair (low, high) with low < high, got {shown(damping_range)}")
     weights = check_weights({"displacement": 1.0} if reward is None else reward, the_road, noise)
 
     observable = _observable(the_road, noise, bandwidths)
     if observation is None:
         observation = [name for name in ("displacement", "velocity", "level", "slope") if name in observable]
     if isinstance(observation, str) or not isinstance(observation, Sequence):
-        raise ParameterError(f"observation must be a sequence of signal names, got {observation!r}")
+        raise ParameterError(f"observation must be a sequence of signal names, got {shown(observation)}")
     names = list(observation)
     for name in names:
         if name not in observable:
-            raise ParameterError(f"unknown signal {name!r} on this plant; known: {', '.join(observable)}")
+            raise ParameterError(f"unknown signal {shown(name)} on this plant; known: {', '.join(observable)} (observation)")
         if names.count(name) > 1:
             raise ParameterError(f"observation names the signal {name!r} more than once")
     if not isinstance(observe_operating_point, bool):
-        raise ParameterError(f"observe_operating_point must be true or false, got {observe_operating_point!r}")
+        raise ParameterError(f"observe_operating_point must be true or false, got {shown(observe_operating_point)}")
     if observe_operating_point:
         names += [name for name in OPERATING_POINT if name in observable and name not in names]
     if not names:
-        raise ParameterError(f"observation must name a signal where the operating point is not observed, got {observation!r}")
+        raise ParameterError(
+            f"observation must name a signal where the operating point is not observed, got {shown(observation)}"
+        )
 
-    w1 = car.natural_frequency
     interval = 0.2 / w1 if control_interval is None else positive("control_interval", control_interval)
-    # the slowest speed is the one that noise stops most easily, the fastest turns the road the fastest
-    angle = interval * max(fastest_rate(the_road, noise, car, end) for end in speeds)
-    needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(damping[1] * interval * w1))
+    check_ratio("control_interval", interval, "control_interval * w1", interval * w1, "relative interval")
+    warm_up = non_negative("warm_up", warm_up)
+    check_ratio("warm_up", warm_up, "warm_up * w1", warm_up * w1, "relative warm-up")
+    stiffness = damping[1] if warm_up_damping is None else within("warm_up_damping", warm_up_damping, "damping")
+    number = _substeps(the_road, noise, car, speeds, bandwidths[1], max(damping[1], stiffness), interval, substeps)
+    words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
+    check_ratio(
+        "control_interval",
+        interval,
+        "the number of random words in it, at this speed and natural_frequency,",
+        number * words,
+        "words",
+    )
+    check_ratio(
+        "warm_up",
+        warm_up,
+        "the number of substeps in it, at this speed and natural_frequency,",
+        warm_up / interval * number,
+        "warm-up substeps",
+    )
+
+    slowest = speeds[0] * the_road.wavenumber / w1
+    if bandwidths[0] > 0:
+        loss = bandwidths[0] * slowest * interval * w1 / number
+        check_ratio(
+            "speed",
+            speed,
+            "bandwidth times the road's angle in a substep, at this natural_frequency and control_interval,",
+            loss,
+            the_road.loss_range,
+        )
+    if not (precision is None or (isinstance(precision, str) and precision in ("float32", "float64"))):
+        raise ParameterError(f'precision must be "float32" or "float64", got {shown(precision)}')
     if the_road.precision == "float64" and precision == "float32":
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')
-    if precision not in (None, "float32", "float64"):
-        raise ParameterError(f'precision must be "float32" or "float64", got {precision!r}')
-    stiffness = positive("warm_up_damping", damping[1] if warm_up_damping is None else warm_up_damping)
+    if precision is None:
+        precision = _needed_precision(the_road, slowest, bandwidths, damping, interval * w1 / number)
     return Task(
         road=the_road,
         speed_noise=noise,
@@ -229,8 +381,8 @@ def make_task(
         weights=tuple(weights[name] for name in MEAN_SQUARES),
         signals=tuple(names),
         control_interval=interval,
-        substeps=max(needed, 2) if substeps is None else whole("substeps", substeps),
-        warm_up=non_negative("warm_up", number("warm_up", warm_up)),
+        substeps=number,
+        warm_up=warm_up,
         warm_up_damping=stiffness,
-        precision=the_road.precision if precision is None else precision,
+        precision=precision,
     )

@@ -15,7 +15,7 @@ from .car import MEAN_SQUARES
 from .compiled import BANDWIDTH, DISPLACEMENT, LEVEL, SLOPE, SPEED, VELOCITY
 from .env import RESET_OPTIONS, check_options
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
-from .parameters import ParameterError, whole
+from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
 from .task import TaskParameters, make_task
 
@@ -26,9 +26,14 @@ STATE = (DISPLACEMENT, VELOCITY, LEVEL, SLOPE, SPEED, BANDWIDTH)
 def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """An autoreset mode from its name, its value, or as it is."""
     for candidate in AutoresetMode:
-        if mode in (candidate, candidate.value, candidate.name, candidate.name.lower()):
+        if isinstance(mode, (str, AutoresetMode)) and mode in (
+            candidate,
+            candidate.value,
+            candidate.name,
+            candidate.name.lower(),
+        ):
             return candidate
-    raise ParameterError(f"autoreset_mode must be one of {[m.name for m in AutoresetMode]}, got {mode!r}")
+    raise ParameterError(f"autoreset_mode must be one of {[m.name for m in AutoresetMode]}, got {shown(mode)}")
 
 
 class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
@@ -59,9 +64,12 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         render_mode: None = None,
         **parameters: Unpack[TaskParameters],
     ) -> None:
-        self.num_envs = whole("num_envs", num_envs)
+        self.num_envs = whole("num_envs", num_envs, of="num_envs")
         mode = make_autoreset_mode(autoreset_mode)
-        limit = 0 if max_episode_steps in (None, 0, -1) else whole("max_episode_steps", max_episode_steps)
+        limit = 0 if max_episode_steps is None else whole("max_episode_steps", max_episode_steps, low=-1)
+        limit = 0 if limit == -1 else limit and whole("max_episode_steps", limit, of="max_episode_steps")
+        if render_mode is not None:
+            raise ParameterError(f"render_mode must be None: a batch draws no pictures, got {shown(render_mode)}")
         self.task = make_task(**parameters)
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode = render_mode
@@ -76,7 +84,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             self.num_envs,
             max_episode_steps=limit,
             autoreset=mode.name.lower(),
-            threads=None if threads is None else whole("threads", threads),
+            threads=None if threads is None else whole("threads", threads, of="threads"),
         )
         self._same_step = mode is AutoresetMode.SAME_STEP
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
@@ -95,17 +103,29 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             if self._plant.started:
                 return
             seed = int(self.np_random.integers(2**63))
-        if isinstance(seed, (int, np.integer)):
-            seeds = np.arange(n, dtype=np.uint64) + np.uint64(int(seed) % 2**64)
+        if isinstance(seed, int):
+            seeds = np.arange(n, dtype=np.uint64) + np.uint64(seed)
         else:
-            if len(seed) != n:
-                raise ParameterError(f"seed must be one integer or {n} of them, got {len(seed)}")
             if not self._plant.started:
                 fresh = self.np_random.integers(2**63, size=n).tolist()
                 seed = [new if given is None else given for given, new in zip(seed, fresh, strict=True)]
             mask = mask & np.array([given is not None for given in seed])
-            seeds = np.array([(given or 0) % 2**64 for given in seed], np.uint64)
+            seeds = np.array([given or 0 for given in seed], np.uint64)
         self._plant.seed(seeds, mask)
+
+    def _checked_seed(self, seed: Any) -> int | list[int | None] | None:
+        """``seed`` as Python's integers, with room for the last environment; see `_seeds`."""
+        if seed is None:
+            return None
+        if isinstance(seed, np.ndarray) and seed.ndim == 1:
+            seed = list(seed)
+        if not isinstance(seed, (list, tuple)):
+            first = whole("seed", seed, low=0, of="seed")
+            whole("seed of the last environment", first + self.num_envs - 1, low=0, of="seed")
+            return first
+        if len(seed) != self.num_envs:
+            raise ParameterError(f"seed must be one integer or {self.num_envs} of them, got {len(seed)}")
+        return [None if each is None else whole(f"seed {i}", each, low=0, of="seed") for i, each in enumerate(seed)]
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -116,13 +136,16 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """
         chosen = check_options(options, (*RESET_OPTIONS, "reset_mask"))
         mask = chosen.get("reset_mask", self._all)
-        if not isinstance(mask, np.ndarray) or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
-            raise ParameterError(f"option 'reset_mask' must be a boolean array of shape ({self.num_envs},), got {mask!r}")
+        usable = isinstance(mask, np.ndarray) and not isinstance(mask, np.ma.MaskedArray)
+        if not usable or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ParameterError(f"option 'reset_mask' must be a boolean array of shape ({self.num_envs},), got {shown(mask)}")
+        mask = np.require(mask, np.bool_, ["C", "A", "W"])  # as compiled code takes it
         if not self._plant.started and not mask.all():
             raise ResetNeeded("the first reset must reset every environment")
         forced = self._plant.forced(chosen)
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        self._seeds(seed, mask)
+        checked = self._checked_seed(seed)
+        super().reset(seed=checked if isinstance(checked, int) else None)
+        self._seeds(checked, mask)
         observations, results = self._plant.reset(forced, mask)
         return observations, self._operating_point(results, mask.copy())
 
@@ -140,9 +163,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """Drive one control interval with the damping ratios ``actions``, shape (num_envs, 1)."""
         if not self._plant.started:
             raise ResetNeeded("call reset before step")
-        damping = np.ascontiguousarray(actions, np.float32)
-        if damping.shape != (self.num_envs, 1):
-            raise ParameterError(f"actions must have the shape ({self.num_envs}, 1), got {damping.shape}")
+        damping = single_precision("actions", actions, (self.num_envs, 1))
         if not np.isfinite(damping).all():
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
         observations, results, truncated, final = self._plant.step(damping.reshape(-1))

@@ -147,7 +147,7 @@ def test_actions_saturate_and_nonsense_raises():
     assert env.step(np.array([7.0], np.float32))[4]["damping"] == 1.0
     assert env.step(np.array([-7.0], np.float32))[4]["damping"] == pytest.approx(0.05)
     for action in (np.array([np.nan]), np.array([np.inf]), np.zeros(2), np.float32(0.3)):
-        with pytest.raises(ParameterError, match="action must be one finite number"):
+        with pytest.raises(ParameterError, match="action must"):
             env.step(action)
 
 

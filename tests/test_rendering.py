@@ -120,7 +120,7 @@ def test_distance_of_a_car_whose_speed_is_noise(noise):
         observation = env.step(act(0.3))[0]
     angle, level = np.array(env.history.path).T
     np.testing.assert_allclose(level, np.sqrt(2) * np.cos(phase + angle), atol=1e-3)
-    assert level[-1] == observation[2]
+    assert np.float32(level[-1]) == observation[2]
     assert np.diff(angle).min() < 0 or noise == "low_pass"  # it went back now and then
     # as far as it has been, the road is drawn, also ahead of the wheel
     picture, here = env.render(), angle[-1]

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from ..parameters import ParameterError
+from ..parameters import ParameterError, shown
 from .base import Road
 from .first_order import FirstOrderRoad
 from .gaussian import GaussianRoad
@@ -41,14 +41,14 @@ def make_component(what: str, value: Any, base: type[Component], table: Mapping[
     if isinstance(value, str):
         value = {"kind": value}
     if not isinstance(value, Mapping):
-        raise ParameterError(f"{what} must be a name, a mapping or a {base.__name__}, got {value!r}")
+        raise ParameterError(f"{what} must be a name, a mapping or a {base.__name__}, got {shown(value)}")
     parameters = dict(value)
     kind = parameters.pop("kind", None)
-    if kind not in table:
-        raise ParameterError(f"unknown {what} {kind!r}; known: {', '.join(table)}")
+    if not isinstance(kind, str) or kind not in table:
+        raise ParameterError(f"unknown {what} {shown(kind)}; known: {', '.join(table)}")
     cls = table[kind]
     allowed = [field.name for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
     for name in parameters:
         if name not in allowed:
-            raise ParameterError(f"unknown parameter {name!r} of {what} {kind!r}; known: {', '.join(allowed)}")
+            raise ParameterError(f"unknown parameter {shown(name)} of {what} {kind!r}; known: {', '.join(allowed)}")
     return cls(**parameters)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ..compiled import COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, like
 from ..linear import ShapingFilter
 from ..noise import normal_pair
-from .base import Road, check_fields
+from .base import Road, check_fields, check_variance
 
 KEEP, LEVEL_NOISE = COEFFICIENT, COEFFICIENT + LANES
 EXCESS_MEAN, EXCESS_SHARED, EXCESS_NOISE = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES, COEFFICIENT + 4 * LANES
@@ -83,7 +83,8 @@ class FirstOrderRoad(Road):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, "noise_intensity")
+        check_fields(self, noise_intensity="noise_intensity")
+        check_variance(self, "noise_intensity")
 
     @property
     def variance(self) -> float:

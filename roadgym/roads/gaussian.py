@@ -19,8 +19,8 @@ import numpy.typing as npt
 from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
 from ..linear import ShapingFilter
 from ..noise import normal_pair
-from ..parameters import positive
-from .base import Road, check_fields
+from ..parameters import within
+from .base import Road, check_fields, check_variance
 
 
 @compiled
@@ -110,7 +110,8 @@ class GaussianRoad(Road):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, "bandwidth", "noise_intensity")
+        check_fields(self, bandwidth="constant bandwidth", noise_intensity="noise_intensity")
+        check_variance(self, "noise_intensity")
 
     @property
     def variance(self) -> float:
@@ -123,5 +124,6 @@ class GaussianRoad(Road):
 
     def with_bandwidth(self, bandwidth: float) -> GaussianRoad:
         """The same road with another bandwidth and the same variance."""
-        scale = math.sqrt(positive("bandwidth", bandwidth) / self.bandwidth)
+        bandwidth = within("bandwidth", bandwidth, "constant bandwidth")
+        scale = math.sqrt(bandwidth / self.bandwidth)
         return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)

@@ -67,7 +67,7 @@ class HarmonicRoad(Road):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, "amplitude")
+        check_fields(self, amplitude="length")
 
     @property
     def variance(self) -> float:

@@ -44,7 +44,7 @@ import numpy.typing as npt
 from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
 from ..linear import ShapingFilter
 from ..noise import normal_pair, philox, uniform
-from ..parameters import ParameterError, positive
+from ..parameters import ParameterError, check_ratio, within
 from .base import Road, check_fields
 from .gaussian import oscillator, second_order_filter
 
@@ -349,18 +349,24 @@ class MultiplicativeRoad(Road):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_fields(self, "bandwidth", "noise_intensity", "level_bound")
+        check_fields(self, bandwidth="constant bandwidth", noise_intensity="noise_intensity", level_bound="length")
         if self.slope_bound is not None:
-            check_fields(self, "slope_bound")
+            check_fields(self, slope_bound="length")
+        shapes = "constant shape" if self.is_circle else "ellipse shape"
+        check_ratio("noise_intensity", self.noise_intensity, "the shape alpha", self.shape, shapes)
+        if self.slope_bound is not None and not self.is_circle:
+            check_ratio("slope_bound", self.slope_bound, "u0/z0", self.slope_bound / self.level_bound, "axes ratio")
+            within("bandwidth on an ellipse", self.bandwidth, "ellipse bandwidth")
 
     @classmethod
     def from_shape(
         cls, *, shape: float, bandwidth: float = 0.1, level_bound: float = 1.0, wavenumber: float = 1.0
     ) -> MultiplicativeRoad:
         """The road on a circle whose density (11) has the shape alpha: sigma^2 = 2 delta Omega r0^2 / alpha."""
-        positive("shape", shape)
-        positive("level_bound", level_bound)
-        square = 2 * positive("bandwidth", bandwidth) * positive("wavenumber", wavenumber) * level_bound**2 / shape
+        shape, level_bound = within("shape", shape, "constant shape"), within("level_bound", level_bound, "length")
+        square = (
+            2 * within("bandwidth", bandwidth, "constant bandwidth") * within("wavenumber", wavenumber) * level_bound**2 / shape
+        )
         return cls(bandwidth=bandwidth, noise_intensity=math.sqrt(square), level_bound=level_bound, wavenumber=wavenumber)
 
     @property
@@ -399,6 +405,15 @@ class MultiplicativeRoad(Road):
         """Below alpha = 1 the path touches the bound, and 1 - r^2/r0^2 needs more digits than single precision has."""
         return "float64" if self.shape < 1 else "float32"
 
+    def check_driven(self) -> None:
+        """The table of the scheme is right for a range of shapes."""
+        check_ratio("noise_intensity", self.noise_intensity, "the shape alpha", self.shape, "shape")
+
+    @property
+    def loss_range(self) -> str:  # type: ignore[override]
+        """The scheme for small shapes takes the longer, the less is lost in a substep."""
+        return "loss at small shapes" if self.shape < 0.5 else "loss"
+
     @property
     def advance(self) -> LaneFunction:  # type: ignore[override]
         """One substep; the scheme depends on the shape."""
@@ -429,10 +444,13 @@ class MultiplicativeRoad(Road):
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
         """The same road with another bandwidth, and the same shape and variance; circles only."""
-        positive("bandwidth", bandwidth)
+        bandwidth = within("bandwidth", bandwidth, "constant bandwidth")
         if not self.is_circle:
+            if bandwidth == self.bandwidth:
+                return self
             raise ParameterError(
-                "bandwidth cannot be replaced on an ellipse: level and slope bound fix another variance for each"
+                f"bandwidth cannot be replaced on an ellipse, whose level and slope bound fix another variance for each: "
+                f"it must be the road's own, {self.bandwidth:g}, got {bandwidth:g}"
             )
         scale = math.sqrt(bandwidth / self.bandwidth)
         return dataclasses.replace(self, bandwidth=bandwidth, noise_intensity=self.noise_intensity * scale)
