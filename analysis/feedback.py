@@ -56,7 +56,7 @@ from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, number_array, positive_range, shown, whole, within
 from roadgym.plant import Plant
 from roadgym.reward import check_weights
-from roadgym.roads import GaussianRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import Road, make_road
 from roadgym.task import Task, make_task
 
 from .checks import FloatArray
@@ -447,7 +447,10 @@ class OptimalFeedback:
 
 def _radius(road: Road) -> float:
     """End of the polar grid: the bound of the road, or where hardly any of its law lies beyond, in standard deviations."""
-    return min(math.sqrt(2 * (road.shape + 1)), LARGEST_RADIUS) if isinstance(road, MultiplicativeRoad) else LARGEST_RADIUS
+    road_filter = road.shaping_filter()
+    if road_filter is None or not road_filter.flatness:
+        return LARGEST_RADIUS
+    return min(math.sqrt(2 * (1 / road_filter.flatness + 1)), LARGEST_RADIUS)
 
 
 def _variable(bounds: tuple[float, float], interval: float) -> tuple[float, float, float]:
@@ -664,8 +667,8 @@ def _drive(
 
 def check_road(road: Road) -> None:
     """Raises `ParameterError` for a road on which `optimal_feedback` is not there."""
-    on_circle = isinstance(road, MultiplicativeRoad) and road.is_circle
-    if not on_circle and not isinstance(road, GaussianRoad):
+    road_filter = road.shaping_filter()
+    if road_filter is None or road_filter.bandwidth is None or road_filter.flatness is None:
         raise ParameterError(f"road must be gaussian, or multiplicative on a circle, got {road!r}")
 
 

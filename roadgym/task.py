@@ -146,7 +146,7 @@ def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, sp
         return fastest
     square, corner = float(speed_noise.intensity**2), speed_noise.rates[0]
     deviation = math.sqrt(square * corner / 2)  # of a low-pass noise
-    if road.kind == "harmonic":
+    if road.takes_phase_noise:
         turn = square * LARGEST_ANGLE / LARGEST_TURN_VARIANCE
         if speed_noise.smooth:
             turn = min(turn, deviation * LARGEST_ANGLE / math.sqrt(LARGEST_TURN_VARIANCE))
@@ -185,7 +185,7 @@ def _needed_precision(
     slowest = min(damping[0], 1 / (firm + math.sqrt(firm * firm - 1)))  # of the car: D - sqrt(D^2 - 1) beyond D = 1
     slowest = min(slowest, *(ratio * min(delta, 0.5 / delta) if delta > 0 else ratio for delta in bandwidths))
     single = slowest * substep >= SINGLE_DECAY and substep >= SINGLE_SUBSTEP
-    if road.kind == "harmonic":
+    if road.lines is not None:
         single = single and ratio * substep >= SINGLE_HARMONIC_ANGLE
     return road.precision if single else "float64"
 
@@ -216,7 +216,7 @@ def _substeps(
         return needed
     number = whole("substeps", given, of="substeps")
     # of a broad road the fast motion must not be skipped; on random roads too few substeps only follow the noise less well
-    followed = speed_noise if road.kind == "harmonic" else None
+    followed = speed_noise if road.takes_phase_noise else None
     largest = interval * max(
         fastest_rate(road, followed, car, speeds[1]),
         damping * car.natural_frequency / 2,
