@@ -1,15 +1,18 @@
 """The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``drive``, ``certify``, ``benchmark``, ``figures``,
-``explore`` and ``errata``.
+``explore``, ``errata`` and ``cache``.
 
-Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument, an unusable file or a missing package (one line says
-which), 130 interrupted.
+Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument, a file that cannot be read or written, or a missing
+package (one line says which), 130 interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import io
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,13 +26,16 @@ from .errors import AgentError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # letters that it does not have, and names that are no text
     parser = make_parser()
     chosen = parser.parse_args(arguments)
     try:
         code: int | None = chosen.run(chosen)
+        print(end="", flush=True)
     except (ParameterError, AgentError) as error:
-        print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
-        return 2
+        return _fault(chosen.command, str(error))
     except KeyboardInterrupt:
         remedies = {
             "train": "; --resume goes on from the last checkpoint",
@@ -40,8 +46,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"roadgym {chosen.command}: interrupted{remedy}", file=sys.stderr)
         return 130
     except BrokenPipeError:
+        _abandon_output()
         return 0
+    except OSError as error:  # such as a full disk
+        where = "" if error.filename is None else f"{str(error.filename)!r}: "
+        _abandon_output()
+        return _fault(chosen.command, f"{where}{error.strerror or error}")
     return code or 0
+
+
+def _fault(command: str, message: str) -> int:
+    """Say in one line what is wrong; returns the exit code."""
+    print(f"roadgym {command}: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+def _abandon_output() -> None:
+    """Let what the standard output still holds be lost, where nobody can take it: Python would try once more at its end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -49,8 +72,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="roadgym",
         description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
-        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, an unusable file or a missing "
-        "package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none with NO_COLOR.",
+        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, a file that cannot be read or "
+        "written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none "
+        "with NO_COLOR.",
     )
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -188,6 +212,15 @@ def make_parser() -> argparse.ArgumentParser:
     )
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+    cache = _command(
+        commands,
+        "cache",
+        run_cache,
+        "tell where compiled code and optimal feedbacks are kept, and how much",
+        "roadgym cache --clear",
+    )
+    cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")
     return parser
 
 
@@ -256,7 +289,7 @@ def _component(text: str) -> Any:
         return text
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise argparse.ArgumentTypeError(f"not JSON: {error}") from None
 
 
@@ -350,9 +383,11 @@ def run_train(chosen: argparse.Namespace) -> None:
 def run_tune(chosen: argparse.Namespace) -> None:
     """``roadgym tune``."""
     from .progress import tuning_progress
-    from .training import load_hyperparameters
+    from .training import load_hyperparameters, make_output
     from .tuning import tune, write_best
 
+    if chosen.output:
+        make_output(chosen.output)  # before the work
     with tuning_progress() as report:
         best = tune(
             chosen.storage,
@@ -422,39 +457,45 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
 
 def run_compare(chosen: argparse.Namespace) -> None:
     """``roadgym compare``."""
+    from roadgym.files import remove_parts
     from roadgym.parameters import whole
 
     from .comparison import AGENT, compare, group_agents, table, write
     from .progress import work_progress
-    from .training import load, make_folder
+    from .training import LOCK, load, locked, make_folder
 
     if chosen.agent:
         _refuse_environment(chosen)
+        known: dict[Path, str] = {}
+        for name in chosen.agent:
+            other = known.setdefault(Path(name).resolve(), name)
+            if other is not name:
+                raise ParameterError(f"--agent has the same folder twice, {other!r} and {name!r}")
         learned, environment = group_agents({folder: load(folder) for folder in chosen.agent})
-        _check_evaluation(chosen, environment)
-        folder = make_folder(chosen.output)
     else:
-        environment = environment_from(chosen)
-        _check_evaluation(chosen, environment)
-        seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
-        folder = make_folder(chosen.output)
-        learned = {AGENT: []}
-        for seed in seeds:
+        learned, environment = {AGENT: []}, environment_from(chosen)
+        whole("seeds", chosen.seeds)
+    _check_evaluation(chosen, environment)
+    folder = make_folder(chosen.output)
+    with locked(folder / LOCK, "comparison"):
+        remove_parts(folder)
+        for seed in () if chosen.agent else range(chosen.seed, chosen.seed + chosen.seeds):
             place = folder / f"agent-{seed}"
             same = _same_agent(chosen, place, environment, seed)
             learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=same))
-    with work_progress() as report:
-        comparison = compare(
-            learned,
-            environment=environment,
-            episodes=chosen.episodes,
-            seed=chosen.seed,
-            report=report,
-            controllers=chosen.controllers,
-            **_grid(chosen),
-        )
-        files = write(comparison, folder, report)
-    print(comparison.to_json() if chosen.json else table(comparison))
+        with work_progress() as report:
+            comparison = compare(
+                learned,
+                environment=environment,
+                episodes=chosen.episodes,
+                seed=chosen.seed,
+                report=report,
+                controllers=chosen.controllers,
+                **_grid(chosen),
+            )
+        print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
+        with work_progress() as report:
+            files = write(comparison, folder, report)
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
 
@@ -518,10 +559,13 @@ def run_certify(chosen: argparse.Namespace) -> int:
 def run_benchmark(chosen: argparse.Namespace) -> None:
     """``roadgym benchmark``."""
     from .benchmark import CASES, draw_scaling, scaling, scaling_table, table
-    from .training import make_folder, versions, write_atomically
+    from .training import make_output, versions, write_atomically
 
     if chosen.output:
-        make_folder(Path(chosen.output).parent)  # before the work
+        path = make_output(chosen.output)  # before the work
+        picture = path.with_suffix(".png")
+        if chosen.scaling and make_output(picture) == path:
+            raise ParameterError(f"output must not end in .png, which the picture beside it does, got {chosen.output!r}")
     names = chosen.only or list(CASES)
     for name in names:
         if name not in CASES:
@@ -537,18 +581,19 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
     else:
         print("\n\n".join([table(results), *([scaling_table(rows)] if rows else [])]))
     if chosen.output:
-        path = Path(chosen.output)
         write_atomically(path, json.dumps(content, indent=2) + "\n")
         if rows:
-            draw_scaling(rows, path.with_suffix(".png"))
+            draw_scaling(rows, picture)
 
 
 def run_figures(chosen: argparse.Namespace) -> None:
     """``roadgym figures``."""
     from analysis.figures import write
+    from roadgym.files import make_folder
 
     from .progress import work_progress
 
+    make_folder(chosen.output)  # before the work
     with work_progress() as report:
         files = write(chosen.output, chosen.only, full=chosen.full, report=report)
     for file in files:
@@ -572,6 +617,28 @@ def run_errata(chosen: argparse.Namespace) -> None:
     with work_progress() as report:
         checks = errata.run(chosen.only, report=report)
     print(json.dumps([dataclasses.asdict(check) for check in checks], indent=2) if chosen.json else errata.table(checks))
+
+
+def run_cache(chosen: argparse.Namespace) -> None:
+    """``roadgym cache``."""
+    from analysis.feedback import kept_files
+    from roadgym import cache
+
+    from .controllers import cache_folder
+
+    places = (
+        ("compiled code", cache.compiled_folder(), cache.compiled_files),
+        ("optimal feedbacks", cache_folder(), lambda: kept_files(cache_folder())),
+    )
+    print(f"{'':17}  {'files':>6}  {'MB':>8}  folder")
+    for what, folder, find in places:
+        sizes = [path.stat().st_size for path in find() if path.exists()]
+        print(f"{what:17}  {len(sizes):6}  {sum(sizes) / 1e6:8.2f}  {folder or 'nowhere: there is no home folder'}")
+    if chosen.clear:
+        cache.clear_compiled()
+        for path in kept_files(cache_folder()):
+            path.unlink(missing_ok=True)
+        print("cleared")
 
 
 def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any], seed: int) -> bool:

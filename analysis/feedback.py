@@ -40,6 +40,7 @@ import itertools
 import json
 import math
 import os
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,7 +53,7 @@ import numpy.typing as npt
 from roadgym.cache import warn_not_kept
 from roadgym.car import MEAN_SQUARES
 from roadgym.compiled import compiled
-from roadgym.files import whole_file
+from roadgym.files import PART, whole_file
 from roadgym.kernel import RESULT_SQUARE, REWARD
 from roadgym.parameters import ParameterError, positive, positive_range, whole
 from roadgym.plant import Plant
@@ -891,6 +892,15 @@ def _save(path: Path, text: str, result: OptimalFeedback) -> None:
             np.savez(file, description=text, figures=json.dumps(figures), box=result.box, policy=result.policy)
     except OSError as error:
         warn_not_kept(path.parent, error)
+
+
+def kept_files(folder: Path | None) -> list[Path]:
+    """The results that are kept in ``folder``, and what killed writers left there."""
+    if folder is None or not folder.is_dir():
+        return []
+    return [
+        path for path in folder.iterdir() if re.fullmatch(r"feedback-[0-9a-f]{32}\.npz", path.name) or PART.fullmatch(path.name)
+    ]
 
 
 def _load(path: Path, text: str, point: Mapping[str, Any]) -> OptimalFeedback | None:
