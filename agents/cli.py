@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _abandon_output()
         return 0
     except OSError as error:  # such as a full disk
-        where = "" if error.filename is None else f"{str(error.filename)!r}: "
+        where = "" if error.filename is None else f"cannot use {str(error.filename)!r}: "
         _abandon_output()
         return _fault(chosen.command, f"{where}{error.strerror or error}")
     return code or 0
@@ -80,7 +80,7 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     train = _command(commands, "train", run_train, "train an agent into a folder", "roadgym train --output runs/ppo --seed 1")
-    train.add_argument("--output", required=True, metavar="DIR", help="folder of the agent")
+    train.add_argument("--output", type=_path, required=True, metavar="DIR", help="folder of the agent")
     train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
     train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
     _add_training(train)
@@ -93,9 +93,9 @@ def make_parser() -> argparse.ArgumentParser:
         "search for hyperparameters; the same command goes on with a study that was interrupted",
         "roadgym tune --algorithm ppo --storage study.db --output best.yaml",
     )
-    tune.add_argument("--storage", required=True, metavar="FILE", help="SQLite file of the study")
+    tune.add_argument("--storage", type=_path, required=True, metavar="FILE", help="SQLite file of the study")
     tune.add_argument("--trials", type=int, default=20, help="trials in all, those in the file included (%(default)s)")
-    tune.add_argument("--output", metavar="FILE", help="write the best as YAML that train --hyperparameters takes")
+    tune.add_argument("--output", type=_path, metavar="FILE", help="write the best as YAML that train --hyperparameters takes")
     _add_training(tune)
     _add_environment(tune)
 
@@ -103,7 +103,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/ppo"
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=_path, metavar="DIR", help="folder of a trained agent")
     who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     _add_evaluation(evaluate)
@@ -116,9 +116,12 @@ def make_parser() -> argparse.ArgumentParser:
         "train an agent, then compare it with the analytic optimum and classical controllers over the same noise",
         "roadgym compare --output results",
     )
-    compare.add_argument("--output", default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)")
+    compare.add_argument(
+        "--output", type=_path, default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)"
+    )
     compare.add_argument(
         "--agent",
+        type=_path,
         nargs="+",
         metavar="DIR",
         help="folders of trained agents, instead of training; those that differ in the seed alone are one learned controller",
@@ -140,10 +143,10 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym drive --controller skyhook --road multiplicative",
     )
     who = drive.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=_path, metavar="DIR", help="folder of a trained agent")
     who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
     drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
-    drive.add_argument("--output", metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window")
+    drive.add_argument("--output", type=_path, metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window")
     drive.add_argument(
         "--seconds", type=float, metavar="S", help="of film, each of 60 control intervals (10; a window until it is closed)"
     )
@@ -178,12 +181,16 @@ def make_parser() -> argparse.ArgumentParser:
     benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
     benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
     benchmark.add_argument("--json", action="store_true", help="print JSON instead of the tables")
-    benchmark.add_argument("--output", metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it")
+    benchmark.add_argument(
+        "--output", type=_path, metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it"
+    )
 
     figures = _command(
         commands, "figures", run_figures, "draw figures 2 to 14 of the paper, with data", "roadgym figures --output figures"
     )
-    figures.add_argument("--output", required=True, metavar="DIR", help="folder of the pictures (PNG) and their data (CSV)")
+    figures.add_argument(
+        "--output", type=_path, required=True, metavar="DIR", help="folder of the pictures (PNG) and their data (CSV)"
+    )
     figures.add_argument("--only", type=int, nargs="+", metavar="N", help="figures to draw (2 to 14)")
     figures.add_argument("--full", action="store_true", help="simulate Fig. 7 with all the paper's samples (half a minute)")
 
@@ -194,7 +201,7 @@ def make_parser() -> argparse.ArgumentParser:
         "write one page of HTML that shows mean squares, optimum, amplitudes and road laws, live",
         "roadgym explore --output explorer.html",
     )
-    explore.add_argument("--output", required=True, metavar="FILE", help="the page")
+    explore.add_argument("--output", type=_path, required=True, metavar="FILE", help="the page")
     explore.add_argument("--road", default="multiplicative", help=f"{', '.join(ROADS)} (%(default)s)")
     explore.add_argument("--speed-noise", default="none", help=f"none, {', '.join(SPEED_NOISES)} (%(default)s)")
     explore.add_argument(
@@ -239,6 +246,7 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--hyperparameters",
+        type=_path,
         metavar="FILE",
         help="YAML file of hyperparameters, or the name of a shipped one: ppo_stacked, ppo_scheduling (the algorithm's own)",
     )
@@ -282,6 +290,12 @@ def _add_environment(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--control-interval", type=float, metavar="S", help="time between actions, s (0.2/natural frequency)")
     group.add_argument("--natural-frequency", type=float, metavar="W1", help="natural frequency of the car, rad/s (1)")
+
+
+def _path(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("must not be empty")
+    return text
 
 
 def _component(text: str) -> Any:

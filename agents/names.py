@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -11,6 +12,8 @@ LONGEST = 40  # letters
 
 def printable(text: str) -> str:
     """``text`` in one line, with what cannot be printed as Python would write it."""
+    with contextlib.suppress(UnicodeEncodeError):  # a path whose bytes the locale does not know is UTF-8 all the same
+        text = text.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

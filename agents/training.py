@@ -125,7 +125,7 @@ def make_output(file: str | Path) -> Path:
     """
     path = Path(file)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        files.make_folder(path.parent)
         files.check_file(path)
     except OSError as error:
         raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
@@ -440,9 +440,14 @@ def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> Non
     content = {**description, "model": name, "timesteps": model.num_timesteps, "reward_statistics": spread}
     content["saved"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     try:
-        with whole_file(folder / name) as part:
-            model.save(part)
-        write_atomically(folder / DESCRIPTION, json.dumps(content, indent=2) + "\n")
+        # all is on the disk before the two files take their places, one right after the other: who is killed between them
+        # leaves a model that nobody names
+        with whole_file(folder / DESCRIPTION, durable=False) as text, whole_file(folder / name, durable=False) as part:
+            text.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+            with part.open("wb") as file:
+                model.save(file)
+            files.sync(text)
+            files.sync(part)
         if before not in (None, name):
             (folder / before).unlink(missing_ok=True)
     except OSError as error:

@@ -48,6 +48,12 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     return target, part
 
 
+def sync(path: Path) -> None:
+    """Let the content of a file reach the disk."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
 @contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str], *, durable: bool = True) -> Iterator[Path]:
     """A file beside ``path`` to write to; it takes the place of ``path`` at the end, or is removed where the writing fails.
@@ -66,11 +72,14 @@ def whole_file(path: str | os.PathLike[str], *, durable: bool = True) -> Iterato
     try:
         yield part
         if durable:
-            with part.open("rb+") as file:
-                os.fsync(file.fileno())
+            sync(part)
         with contextlib.suppress(FileNotFoundError):
             part.chmod(stat.S_IMODE(target.stat().st_mode))
         part.replace(target)
+    except OSError as error:
+        if error.errno is not None and error.filename in (None, str(part)):
+            error.filename = os.fspath(path)  # the name that who asked for it knows
+        raise
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
@@ -89,7 +98,10 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
         OSError: it cannot.
     """
     folder = Path(path)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(f"{os.fspath(path)!r} is not a folder") from None
     with tempfile.TemporaryFile(dir=folder):
         pass
     return folder
