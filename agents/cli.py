@@ -46,11 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"roadgym {chosen.command}: interrupted{remedy}", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        _abandon_output()
+        _finish_output()
         return 0
     except OSError as error:  # such as a full disk
         where = "" if error.filename is None else f"cannot use {str(error.filename)!r}: "
-        _abandon_output()
+        _finish_output()
         return _fault(chosen.command, f"{where}{error.strerror or error}")
     return code or 0
 
@@ -61,10 +61,13 @@ def _fault(command: str, message: str) -> int:
     return 2
 
 
-def _abandon_output() -> None:
-    """Let what the standard output still holds be lost, where nobody can take it: Python would try once more at its end."""
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _finish_output() -> None:
+    """Write out what the standard output still holds, or let it be lost: Python would try at its end, and complain."""
+    try:
+        print(end="", flush=True)
+    except OSError:
+        with contextlib.suppress(OSError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123 - a device, not a path
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def make_parser() -> argparse.ArgumentParser:
