@@ -606,11 +606,9 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
 def run_figures(chosen: argparse.Namespace) -> None:
     """``roadgym figures``."""
     from analysis.figures import write
-    from roadgym.files import make_folder
 
     from .progress import work_progress
 
-    make_folder(chosen.output)  # before the work
     with work_progress() as report:
         files = write(chosen.output, chosen.only, full=chosen.full, report=report)
     for file in files:

@@ -22,7 +22,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm, PowerNorm
 from matplotlib.figure import Figure
 
-from roadgym.files import whole_file
+from roadgym.files import make_folder, whole_file
 from roadgym.parameters import ParameterError
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -96,10 +96,9 @@ def write(
     for number in chosen:
         if number not in FIGURES:
             raise ParameterError(f"figure must be one of {', '.join(map(str, FIGURES))}, got {number}")
-    target = Path(folder)
     files = []
     try:
-        target.mkdir(parents=True, exist_ok=True)
+        target = make_folder(folder)
         for number in chosen:
             drawing = FIGURES[number](full, report)
             for name, table in drawing.tables.items():
