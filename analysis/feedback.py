@@ -36,11 +36,12 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import io
 import itertools
 import json
 import math
 import os
-import tempfile
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -50,7 +51,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.cache import warn_not_kept
 from roadgym.compiled import compiled
+from roadgym.files import PART, whole_file
 from roadgym.kernel import RESULT_SQUARE, REWARD
 from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, number_array, positive_range, shown, whole, within
@@ -869,37 +872,61 @@ def _is_refined(coarse: Refinement, fine: Refinement, tolerance: float) -> bool:
 
 
 def _save(path: Path, text: str, result: OptimalFeedback) -> None:
-    """Write a result, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Keep a result, whole or not at all; where it cannot be kept there is a warning, for the result is worth more."""
     figures = {
         "cost": result.cost,
         "standard_error": result.standard_error,
         "history": [dataclasses.asdict(refinement) for refinement in result.history],
     }
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
     try:
-        with os.fdopen(handle, "wb") as file:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as part, part.open("wb") as file:
             np.savez(file, description=text, figures=json.dumps(figures), box=result.box, policy=result.policy)
-        Path(name).replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            Path(name).unlink()
-        raise
+    except OSError as error:
+        warn_not_kept(path.parent, error)
+
+
+def kept_files(folder: Path | None) -> list[Path]:
+    """The results that are kept in ``folder``, and what killed writers left there."""
+    if folder is None or not folder.is_dir():
+        return []
+    return [
+        path for path in folder.iterdir() if re.fullmatch(r"feedback-[0-9a-f]{32}\.npz", path.name) or PART.fullmatch(path.name)
+    ]
 
 
 def _load(path: Path, text: str, point: Mapping[str, Any]) -> OptimalFeedback | None:
     """A kept result, or None where there is none, or none that is sound and of this description."""
     try:
-        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:  # closed even if it is no archive
+        content = path.read_bytes()
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            if archive.testzip() is not None:  # reads all of it: NumPy looks at no checksum
+                return None
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
             if str(file["description"]) != text:
                 return None
             figures = json.loads(str(file["figures"]))
             history = tuple(Refinement(**refinement) for refinement in figures["history"])
             box, policy = file["box"], file["policy"]
-            cost, error = float(figures["cost"]), float(figures["standard_error"])
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        return _sound(OptimalFeedback(**point, **figures | {"history": history}, box=box, policy=policy))
+    except Exception:  # a damaged file can raise anything
         return None
-    grids = [(grid.rings, grid.rays, grid.rows, grid.rows, 4) for grid in history]
-    if policy.shape not in grids or policy.dtype != np.float32 or box.shape != (2,) or box.dtype != np.float64:
-        return None
-    return OptimalFeedback(**point, cost=cost, standard_error=error, history=history, box=box, policy=policy)
+
+
+def _sound(result: OptimalFeedback) -> OptimalFeedback | None:
+    """The result, if `_find` could have found it."""
+    grids = [(grid.rings, grid.rays, grid.rows) for grid in result.history]
+    chosen = min(result.history, key=lambda grid: grid.cost)  # the first of equals, as `_find` chooses
+    positive_figures = [result.cost, result.standard_error, *result.box.tolist()]
+    for grid in result.history:
+        positive_figures += [grid.sweeps, grid.expected, grid.cost, grid.standard_error]
+    sound = (
+        grids == list(GRIDS[: len(grids)])
+        and all(type(figure) in (int, float) and 0 < figure < math.inf for figure in positive_figures)
+        and result.box.shape == (2,)
+        and result.box.dtype == np.float64
+        and result.policy.shape == (chosen.rings, chosen.rays, chosen.rows, chosen.rows, 4)
+        and result.policy.dtype == np.float32
+        and bool(np.isfinite(result.policy).all())
+    )
+    return result if sound else None
