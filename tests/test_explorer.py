@@ -1,4 +1,4 @@
-"""The interactive page says what Python says: in a browser, through its numbers and through its controls."""
+"""The interactive page says what Python says: its closed forms in node or a browser, its numbers and controls in a browser."""
 
 import html
 import itertools
@@ -8,6 +8,9 @@ import os
 import re
 import shutil
 import subprocess
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,10 +23,12 @@ from roadgym import MEAN_SQUARES, ROADS, SPEED_NOISES, ParameterError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 BROWSER = os.environ.get("ROADGYM_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
+NO_BROWSER = BROWSER is None and os.environ.get("ROADGYM_REQUIRE_BROWSER") != "1"
 needs_browser = pytest.mark.skipif(
-    BROWSER is None and os.environ.get("ROADGYM_REQUIRE_BROWSER") != "1",
+    NO_BROWSER,
     reason=f"no browser: none of {', '.join(BROWSERS)} is on the path, and ROADGYM_BROWSER is not set",
 )
+NODE = shutil.which("node")
 PLANTS = [(road, noise) for road in ROADS for noise in ("none", *SPEED_NOISES)]
 DEFINED = [(road, noise) for road, noise in PLANTS if road == "harmonic" or noise in ("none", "low_pass")]
 
@@ -57,6 +62,22 @@ def browse(folder, script, view=None, address=""):
     result = json.loads(html.unescape(found[1]))
     assert not isinstance(result, dict) or "error" not in result, result["error"]
     return result
+
+
+def evaluate(folder, script):
+    """What ``script``, the body of a function given `evaluate`, returns: with the closed forms alone in node, or in a page."""
+    if NODE is None:
+        return browse(folder, f"const evaluate = window.roadgym.evaluate; {script}")
+    path = folder / "script.js"
+    path.write_text(
+        f"""const theory = require({str(explorer.TEMPLATE.with_name("theory.js"))!r});
+        const known = {{plants: {json.dumps(explorer.plants())}, search: {json.dumps(explorer.SEARCH)}}};
+        const work = (evaluate) => {{ {script} }};
+        const result = work((point) => theory.evaluate(point, known));
+        console.log(JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value)));""",
+        encoding="utf-8",
+    )
+    return json.loads(subprocess.run([NODE, path], capture_output=True, check=True, text=True, timeout=300).stdout)
 
 
 def components(point):
@@ -138,15 +159,15 @@ def sample_points():
     return points
 
 
-@needs_browser
+@pytest.mark.skipif(NODE is None and NO_BROWSER, reason="neither node nor a browser is on the path")
 def test_page_computes_what_python_computes(tmp_path):
     points = sample_points()
     levels = [0.0, 0.5, -0.9, 0.999, 1.1]  # of the bound, or of three standard deviations
     frequencies = [0.0, 0.7, 1.0, 5.0]
-    answers = browse(
+    answers = evaluate(
         tmp_path,
         f"""return {json.dumps(points)}.map((point) => {{
-          const found = window.roadgym.evaluate(point);
+          const found = evaluate(point);
           const end = Math.min(found.level_bound, 3);
           return {{...found, density: {levels}.map((part) => found.marginal_density(part * end)),
                    spectrum: {frequencies}.map(found.spectral_density)}};
@@ -392,10 +413,20 @@ def test_controls_have_names_and_plants_are_those_of_python(tmp_path):
 
 def test_page_is_one_file_and_loads_nothing(tmp_path):
     text = explorer.write(tmp_path / "page.html").read_text(encoding="utf-8")
-    assert explorer.PLACE not in text
+    assert not re.findall(r"/\*\S+\*/", text)  # places of the parts and the data
+    for name in explorer.PARTS:
+        assert explorer.TEMPLATE.with_name(name).read_text(encoding="utf-8").strip() in text
     assert not re.findall(r"""https?:|@import|url\((?!#)|\bsrc=|\bfetch\(|href="(?!data:)""", text)
     assert roadgym.__version__ in text
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_every_part_of_the_page_is_installed():
+    project = Path(__file__).parents[1] / "pyproject.toml"
+    setuptools = tomllib.loads(project.read_text(encoding="utf-8"))["tool"]["setuptools"]
+    assert explorer.__name__ in setuptools["packages"]
+    for name in (explorer.TEMPLATE.name, *explorer.PARTS):
+        assert any(fnmatch(name, pattern) for pattern in setuptools["package-data"][explorer.__name__]), name
 
 
 def test_plants_are_those_that_are_defined():
