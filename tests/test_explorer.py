@@ -33,20 +33,25 @@ PLANTS = [(road, noise) for road in ROADS for noise in ("none", *SPEED_NOISES)]
 DEFINED = [(road, noise) for road, noise in PLANTS if road == "harmonic" or noise in ("none", "low_pass")]
 
 
-def browse(folder, script, view=None, address=""):
-    """What ``script``, the body of an asynchronous function in the page, returns."""
+def browse(folder, script, view=None, address="", width=1280):
+    """What ``script``, the body of an asynchronous function in the page, returns; the page is ``width`` pixels wide, in a
+    frame, since windows have a least width."""
     assert BROWSER is not None, "ROADGYM_REQUIRE_BROWSER is 1, and there is no browser"
     page = explorer.write(folder / "explorer.html", view)
     runner = f"""<script>(async () => {{
-      const output = document.createElement("pre");
-      output.id = "output";
       const work = async () => {{ {script} }};
       let result;
       try {{ result = await work(); }} catch (error) {{ result = {{error: String(error.stack)}}; }}
-      output.textContent = JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value));
-      document.body.append(output);
+      parent.postMessage(JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value)), "*");
     }})();</script></body>"""
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", runner), encoding="utf-8")
+    frame = folder / "frame.html"
+    frame.write_text(
+        f"""<pre id="output"></pre>
+        <script>onmessage = ({{data}}) => {{ document.getElementById("output").textContent = data; }};</script>
+        <iframe style="width: {width}px; height: 800px; border: 0" src="{page.name}#{html.escape(address)}"></iframe>""",
+        encoding="utf-8",
+    )
     options = [
         "--headless",
         "--no-sandbox",
@@ -54,10 +59,8 @@ def browse(folder, script, view=None, address=""):
         "--virtual-time-budget=100000",
         f"--user-data-dir={folder / 'profile'}",
     ]
-    done = subprocess.run(
-        [BROWSER, *options, "--dump-dom", f"{page.as_uri()}#{address}"], capture_output=True, text=True, timeout=300
-    )
-    found = re.search(r'<pre id="output">(.*?)</pre>', done.stdout, re.DOTALL)
+    done = subprocess.run([BROWSER, *options, "--dump-dom", frame.as_uri()], capture_output=True, text=True, timeout=300)
+    found = re.search(r'<pre id="output">(.+?)</pre>', done.stdout, re.DOTALL)
     assert found, done.stderr[-2000:]
     result = json.loads(html.unescape(found[1]))
     assert not isinstance(result, dict) or "error" not in result, result["error"]
@@ -301,6 +304,7 @@ def test_controls_show_pythons_numbers(tmp_path):
         road, noise = components(point)
         numbers = view["numbers"]
         pictures.add(view["drawn"])
+        assert (f"σ/√ω1 = {point['intensity']:g}" in view["summary"]) == (noise is not None), step
         infinite = explorer.plants()[point["road"]][point["speed_noise"]]["divergent"]
         assert numbers["density_at_zero"] == shown(float(analysis.marginal_density(road, 0.0))), step
         if point["road"] == "harmonic":
@@ -409,6 +413,31 @@ def test_controls_have_names_and_plants_are_those_of_python(tmp_path):
     assert found["refused"] == ["white speed noise is not defined on a gaussian road"]
     assert found["nameless"] == 0
     assert all(found["labels"][:4])
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [320, 500, 870])
+def test_nothing_runs_off_its_card_and_a_phone_shows_a_plot_first(width, tmp_path):
+    moves = [("road", "harmonic"), ("speed_noise", "high_pass"), ("road", "gaussian"), ("speed_noise", "low_pass")]
+    views = browse(
+        tmp_path,
+        f"""{SEE} const look = () => {{
+          const edges = (element) => element.getBoundingClientRect();
+          const words = (card) => [...card.querySelectorAll("svg text, :not(svg *)")].filter((e) => edges(e).width > 0);
+          const cards = [...document.querySelectorAll(".card")].filter((card) => edges(card).height > 0);
+          const off = cards.flatMap((card) => words(card).filter((e) => edges(e).right > edges(card).right + 0.5
+                                                                   || edges(e).left < edges(card).left - 0.5));
+          const outside = cards.filter((card) => edges(card).right > innerWidth);
+          const first = cards.reduce((a, b) => (edges(b).top < edges(a).top ? b : a));
+          return {{off: [...off, ...outside].map((e) => e.outerHTML), first: first.tagName, width: innerWidth}};
+        }};
+        const views = [look()];
+        for (const [name, value] of {json.dumps(moves)}) {{ move(name, "radio", value); views.push(look()); }}
+        return views;""",
+        width=width,
+    )
+    for view in views:
+        assert view == {"off": [], "first": "FIGURE" if width < 860 else "FORM", "width": width}
 
 
 def test_page_is_one_file_and_loads_nothing(tmp_path):

@@ -62,10 +62,11 @@ function valueAt({ low, high, logarithmic }, share) {
 
 const scales = {}; // of each plot, to turn a place of the pointer into a value
 
-/** Draw lines {kind, points}, marks {kind, at}, rules {x} and shaded ranges `outside` into the plot with the id. */
-function draw(id, { height, x, y, lines, marks = [], rules = [], outside = [], area = null, label }) {
+/** Draw lines {kind, points}, marks {kind, at}, rules {x} and shaded ranges `outside` into the plot with the id, no higher than
+    wide. */
+function draw(id, { height: most, x, y, lines, marks = [], rules = [], outside = [], area = null, label }) {
   const svg = document.getElementById(id);
-  const width = Math.min(Math.max(svg.clientWidth, 300), 640);
+  const width = Math.min(Math.max(svg.clientWidth, 300), 640), height = Math.min(most, width);
   const left = 46, right = width - 8, top = 24, bottom = height - 36;
   const place = (axis, from, to) => (value) => Math.min(Math.max(from + part(axis, value) * (to - from), -9999), 9999);
   const px = place(x, left, right), py = place(y, bottom, top);
@@ -95,7 +96,7 @@ function draw(id, { height, x, y, lines, marks = [], rules = [], outside = [], a
     if (py(v) < top - 1 || py(v) > bottom + 1) continue;
     parts.push(`<circle class="mark ${kind}" cx="${px(u)}" cy="${py(v)}" r="5.5"/>`);
   }
-  const names = words(left - 34, 13, "start", y.name) + words(right, bottom + 32, "end", x.name);
+  const names = words(left - 34, 11, "start", y.name) + words(right, bottom + 32, "end", x.name);
   parts.push(`<g class="names">${names}</g>`);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.setAttribute("aria-label", label);

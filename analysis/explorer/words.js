@@ -26,7 +26,9 @@ function obstacle(p, plant) {
 
 /** The plant and its parameters. */
 function plantName(p) {
-  const intensity = `<i>σ</i> = ${p.intensity}`, filter = `${intensity}, <i>ω<sub>g</sub></i> = ${p.corner_frequency}`;
+  const unit = "<i>ω</i><sub>1</sub>";
+  const intensity = `<i>σ</i>/√${unit} = ${p.intensity}`;
+  const filter = `${intensity}, <i>ω<sub>g</sub></i>/${unit} = ${p.corner_frequency}`;
   const road = {
     harmonic: "Harmonic road",
     first_order: "First-order road",
