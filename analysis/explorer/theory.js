@@ -2,8 +2,8 @@
 
    All is in units of w1 and of the road's standard deviation. p holds the parameters by name, as `RANGES` of the Python module
    does, with `road`, `speed_noise` and `weights`; ratio is nu = v Omega/w1. Complex numbers are [real, imaginary]. Equation
-   numbers are those of Wedig (2020). The same formulas are in analysis/response.py, phase_noise.py, rotating_frame.py, roads.py,
-   stability.py and optimum.py; what has a sampled answer in Python alone is null here. */
+   numbers are those of Wedig (2020). The same formulas are in response.py, phase_noise.py, rotating_frame.py, roads.py,
+   stability.py and optimum.py of `analysis`; what Python answers by simulation alone is null here. */
 
 /** The plant among those that Python defines, by road and speed noise: {simulated, divergent}. */
 function plantOf(p, plants) {
@@ -175,7 +175,7 @@ function hasCost(p, { simulated, divergent }) {
   return !simulated && weighted.length > 0 && !weighted.some((name) => divergent.includes(name));
 }
 
-/** {damping, cost} of the best constant damping within the bounds, as analysis/optimum.py finds it: a grid even in log D, `rounds`
+/** {damping, cost} of the best constant damping within the bounds, as analysis/optimum.py finds it: a grid even in log D, then
     ever finer ones about the least cost, and the bound itself where the cost is flat, the lower one first. */
 function optimum(p, { coarse, fine, rounds }, ratio = p.frequency_ratio) {
   const low = p.damping_min, high = p.damping_max;
@@ -228,8 +228,8 @@ function spectralDensity(p, frequency) {
   return 4 * p.bandwidth / (p.frequency_ratio * (((1 - x) * (1 + x)) ** 2 + (2 * p.bandwidth * x) ** 2));
 }
 
-/** Every number of the page at one set of parameters; what has no closed form, or is not defined, is null. `plants` are those that
-    Python defines, `search` are its grids of the optimum. */
+/** Every number of the page at one set of parameters; what has no closed form, or is not defined, is null. `plants` are those
+    that Python defines, `search` are its grids of the optimum. */
 function evaluate(p, { plants, search }) {
   const plant = plantOf(p, plants);
   const harmonic = p.road === "harmonic";
