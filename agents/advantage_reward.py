@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from .advantage import advantage_forms, value_form
+from analysis.quadratic import plant_system, value_form
+
+from .advantage import advantage_forms
 from .operating_grid import NODES, OperatingGrid
 from .vec_env import QuarterCarVecEnv, damping_from_action
 
@@ -24,14 +26,18 @@ class AdvantageReward(VecEnvWrapper):
 
     with the advantage A of the damping that is set and the mean cost rho of the best constant one (`agents.advantage`).
 
-    For any c the mean over a drive is (rho - mean cost)/sqrt(rho), as A is the cost less rho T and the change of a potential, h
-    (A. Y. Ng, D. Harada and S. Russell, "Policy invariance under reward transformations", ICML 1999). So the same policy is
-    best. But the noise of the road, which the cost mixes into what the damper did, is averaged out by theory, over the interval
-    and over all that a constant damping would make of its end: what is left to learn is what theory does not know. That is
-    least where c h is near the policy's own relative value: c = 1 - (1 - q)^2, with q <= 1 the ratio of the cost paid of late
-    near the operating point to rho. The square root keeps operating points of small cost from being forgotten: without it they
-    are, with it in full the large ones suffer. The policy needs no more signals for all this; infos keep the returns of the
-    environment's own reward.
+    For any constant c the mean over a long drive is (rho - mean cost)/sqrt(rho), as the mean of A is that of the cost less
+    rho T and the change of a potential, h (A. Y. Ng, D. Harada and S. Russell, "Policy invariance under reward
+    transformations", ICML 1999). So the same policy is best, by the average and without discount. It is not quite so here:
+    training discounts, and then A and the cost weigh the near and the far differently; and c follows what is paid, so it moves
+    as training goes on.
+
+    But the noise of the road, which the cost mixes into what the damper did, is averaged out by theory, over the interval and
+    over all that a constant damping would make of its end: what is left to learn is what theory does not know. That is least
+    where c h is near the policy's own relative value: c = 1 - (1 - q)^2, with q <= 1 the ratio of the cost paid of late near
+    the operating point to rho. The square root keeps operating points of small cost from being forgotten: without it they are,
+    with it in full the large ones suffer. A is made from the full state, whatever the policy observes, and the policy needs no
+    more signals for all this; infos keep the returns of the environment's own reward.
 
     Args:
         venv: the environments; their plant must have an advantage (`agents.advantage.has_advantage`).
@@ -66,7 +72,7 @@ class AdvantageReward(VecEnvWrapper):
             self._node[new] = node[:, 0] * NODES + node[:, 1]
             reference = self._grid.damping[node[:, 0], node[:, 1]]
             task, (ratio, bandwidth) = self._envs.task, points.T
-            _, self._rho[new] = value_form(task, reference, ratio, bandwidth)
+            _, self._rho[new] = value_form(plant_system(task, reference, ratio, bandwidth), task.weights_by_name)
             forms, constants = advantage_forms(task, self._dampings, reference, ratio, bandwidth)
             twice = np.where(self._first == self._second, 1, 2)
             interval = task.control_interval * task.car.natural_frequency

@@ -184,7 +184,11 @@ def make_parser() -> argparse.ArgumentParser:
     explore.add_argument("--weights", type=_weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
 
     errata = _command(
-        commands, "errata", run_errata, "simulate what the paper has wrong, with both formulas", "roadgym errata --only forcing"
+        commands,
+        "errata",
+        run_errata,
+        "show where the paper errs: both formulas, and evidence",
+        "roadgym errata --only forcing",
     )
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
@@ -207,7 +211,8 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--hyperparameters",
         metavar="FILE",
-        help="YAML file of hyperparameters, or the name of a shipped one: ppo_stacked, ppo_scheduling (the algorithm's own)",
+        help="YAML file of hyperparameters, or the name of a shipped one: ppo_plain, ppo_stacked, ppo_scheduling "
+        "(the algorithm's own)",
     )
     group.add_argument(
         "--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps"
@@ -376,9 +381,9 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
     """``roadgym evaluate``."""
     from roadgym.task import make_task
 
-    from .comparison import observed_in_full, with_error
+    from .comparison import adjusted_by, observed_in_full, with_error
     from .controllers import make_controller
-    from .evaluation import Predictor, evaluate
+    from .evaluation import Predictor, evaluate, standard_error
     from .progress import work_progress
     from .training import load
 
@@ -407,17 +412,21 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
             "bandwidth": point.bandwidth,
             "cost": float(result.mean[k]),
             "standard_error": float(result.standard_error[k]),
+            "driven_cost": float(result.costs[k].mean()),
+            "driven_standard_error": float(standard_error(result.costs[k])),
             "switches": float(result.switches[k]),
         }
         for k, point in enumerate(result.points)
     ]
     if chosen.json:
-        print(json.dumps({"controller": name, "rows": rows}, indent=2))
+        print(json.dumps({"controller": name, "control_variates": result.control_variates, "rows": rows}, indent=2))
         return
     print("speed m/s  bandwidth            cost  switches 1/s")
     for row in rows:
         cost = with_error(row["cost"], row["standard_error"])
         print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
+    if result.control_variates:
+        print(adjusted_by(result.control_variates))
 
 
 def run_compare(chosen: argparse.Namespace) -> None:

@@ -23,6 +23,7 @@ from roadgym.task import Task, make_task
 
 from .controllers import Controller, OptimalFeedback, make_controller, optimum, theoretical_cost
 from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate
+from .features import has_lookahead
 from .training import Agent, make_folder, plain, versions, write_atomically
 
 RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook", "one_step_lookahead", "optimal_feedback")
@@ -50,7 +51,9 @@ class Row:
     Attributes:
         controller: its name.
         point: the operating point.
-        cost, standard_error: mean cost over episodes and training seeds, and its standard error; cost is minus the mean reward.
+        cost, standard_error: mean cost over episodes and training seeds, and its standard error; cost is minus the mean reward,
+            adjusted by control variates where theory is exact (`agents.evaluation`).
+        driven_cost, driven_standard_error: the same as driven, without control variates.
         theory: what theory predicts, for constant dampings, where there is a closed form; else None.
         damping: the constant damping ratio, likewise.
         gain: share of the cost of the best constant damping that is saved.
@@ -64,12 +67,34 @@ class Row:
     point: OperatingPoint
     cost: float
     standard_error: float
+    driven_cost: float
+    driven_standard_error: float
     theory: float | None
     damping: float | None
     gain: Share
     gap_closed: Share | None
     switches: float
     squares: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class MeanGap:
+    """The share of the gap that a controller closes, averaged over all operating points that have a gap, and what is left out.
+
+    Attributes:
+        closed: mean share, of negative ones too; None where no point has a gap.
+        points: those that it is over.
+        left_out: the points without a gap, where the best known feedback saves less than `LEAST_ROOM`.
+        loss: at those, the mean share of the best constant damping's cost that the controller costs more; None without any.
+        largest_loss, largest_at: the largest one and its point, likewise.
+    """
+
+    closed: Share | None
+    points: tuple[OperatingPoint, ...]
+    left_out: tuple[OperatingPoint, ...]
+    loss: Share | None
+    largest_loss: Share | None
+    largest_at: OperatingPoint | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +107,7 @@ class Comparison:
         agents: the learned controllers, by name; one agent for each training seed.
         references: the best known feedback at each operating point, by name; None where no feedback was driven.
         configuration: environment, evaluation, agents and versions, as JSON knows them.
+        mean_gaps: of each learned controller, where a feedback was driven.
     """
 
     rows: tuple[Row, ...]
@@ -89,6 +115,7 @@ class Comparison:
     agents: Mapping[str, Sequence[Predictor]]
     references: tuple[str | None, ...]
     configuration: dict[str, Any]
+    mean_gaps: Mapping[str, MeanGap] = dataclasses.field(default_factory=dict)
 
     def row(self, controller: str, point: OperatingPoint) -> Row:
         """The row of a controller at a point."""
@@ -106,7 +133,12 @@ class Comparison:
 
     def to_json(self) -> str:
         """Everything as JSON; what is infinite is null."""
-        return json.dumps({"rows": [flat(row) for row in self.rows], **self.configuration}, indent=2, allow_nan=False) + "\n"
+        content = {
+            "rows": [flat(row) for row in self.rows],
+            "mean_gap_closed": {name: dataclasses.asdict(gap) for name, gap in self.mean_gaps.items()},
+            **self.configuration,
+        }
+        return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
     def to_csv(self) -> str:
         """The rows as CSV."""
@@ -121,7 +153,7 @@ class Comparison:
 def flat(row: Row) -> dict[str, Any]:
     """A row as one mapping of numbers and names."""
     content: dict[str, Any] = {"controller": row.controller, **dataclasses.asdict(row.point)}
-    for name in ("cost", "standard_error", "theory", "damping"):
+    for name in ("cost", "standard_error", "driven_cost", "driven_standard_error", "theory", "damping"):
         content[name] = getattr(row, name)
     for name in ("gain", "gap_closed"):
         share = getattr(row, name)
@@ -143,21 +175,33 @@ def constant_damping(task: Task, controller: str, point: OperatingPoint) -> floa
     return None
 
 
-def ratio(numerators: npt.NDArray[np.float64], denominator: npt.NDArray[np.float64]) -> Share:
-    """Mean of ``numerators``, shape (seeds, episodes), over that of ``denominator``, shape (episodes,), driven over one noise.
+def ratio(
+    numerators: npt.NDArray[np.float64], denominators: npt.NDArray[np.float64], degrees_of_freedom: int | None = None
+) -> Share:
+    """Mean over operating points of ratios of means, with its interval; all training seeds drive over the same noise.
 
-    The interval adds two parts in squares, by Student's law each: episodes, whose ratio is linearised, and the ratios of the
-    training seeds. The seeds meet the same episodes, whose noise the second part holds too in part: the interval is rather too
-    wide. With one seed there is the first part alone: it speaks of that agent, not of the training.
+    The interval adds two parts in squares, by Student's law each: episodes, whose ratios are linearised, and the means of the
+    training seeds. Points have roads of their own, so their errors are independent; a training seed is one agent at all points,
+    so its shares are averaged before seeds are compared. The seeds meet the same episodes, whose noise the second part holds
+    too in part: the interval is rather too wide. With one seed there is the first part alone: it speaks of that agent, not of
+    the training.
+
+    Args:
+        numerators: shape (points, seeds, episodes).
+        denominators: shape (points, episodes).
+        degrees_of_freedom: of a mean over episodes, at one point; the episodes less one by default.
     """
-    seeds, episodes = numerators.shape
-    scale = float(denominator.mean())
-    value = float(numerators.mean()) / scale
-    residual = (numerators.mean(axis=0) - value * denominator) / scale
-    half = student.ppf((1 + CONFIDENCE) / 2, episodes - 1) * residual.std(ddof=1) / math.sqrt(episodes)
+    points, seeds, episodes = numerators.shape
+    scale = denominators.mean(axis=-1)
+    values = numerators.mean(axis=(1, 2)) / scale
+    residuals = (numerators.mean(axis=1) - values[:, None] * denominators) / scale[:, None]
+    freedom = episodes - 1 if degrees_of_freedom is None else degrees_of_freedom
+    error = math.sqrt((residuals.var(axis=-1, ddof=1) / episodes).sum()) / points
+    half = student.ppf((1 + CONFIDENCE) / 2, freedom) * error
     if seeds > 1:
-        spread = (numerators.mean(axis=1) / scale).std(ddof=1)
+        spread = (numerators.mean(axis=-1) / scale[:, None]).mean(axis=0).std(ddof=1)
         half = math.hypot(half, student.ppf((1 + CONFIDENCE) / 2, seeds - 1) * spread / math.sqrt(seeds))
+    value = float(values.mean())
     return Share(value, value - half, value + half)
 
 
@@ -168,6 +212,43 @@ def best_feedbacks(evaluations: Mapping[str, Evaluation]) -> tuple[str | None, .
     if "optimal_feedback" in names:
         return tuple("optimal_feedback" for _ in points)
     return tuple(min(names, key=lambda name: evaluations[name].mean[k], default=None) for k in points)
+
+
+def gaps(evaluations: Mapping[str, Evaluation], references: Sequence[str | None]) -> list[npt.NDArray[np.float64] | None]:
+    """What the best known feedback saves at each operating point, shape (episodes,); None if less than `LEAST_ROOM`."""
+    best = evaluations["analytic_optimum"].adjusted_costs
+    rooms: list[npt.NDArray[np.float64] | None] = []
+    for k, reference in enumerate(references):
+        room = None if reference is None else best[k] - evaluations[reference].adjusted_costs[k]
+        rooms.append(room if room is not None and room.mean() > LEAST_ROOM * best[k].mean() else None)
+    return rooms
+
+
+def mean_gap(seeds: Sequence[Evaluation], evaluations: Mapping[str, Evaluation], references: Sequence[str | None]) -> MeanGap:
+    """The mean share of the gap that a learned controller closes, from evaluations of its training seeds and of the rivals."""
+    best, points, freedom = evaluations["analytic_optimum"].adjusted_costs, seeds[0].points, seeds[0].degrees_of_freedom
+    rooms = gaps(evaluations, references)
+    within = [k for k, room in enumerate(rooms) if room is not None]
+    without = [k for k, room in enumerate(rooms) if room is None]
+    saved = best[:, None] - np.stack([evaluation.adjusted_costs for evaluation in seeds], axis=1)
+    losses = [ratio(-saved[[k]], best[[k]], freedom) for k in without]
+    worst = max(range(len(losses)), key=lambda k: losses[k].value, default=None)
+    return MeanGap(
+        closed=ratio(saved[within], np.array([rooms[k] for k in within]), freedom) if within else None,
+        points=tuple(points[k] for k in within),
+        left_out=tuple(points[k] for k in without),
+        loss=ratio(-saved[without], best[without], freedom) if without else None,
+        largest_loss=None if worst is None else losses[worst],
+        largest_at=None if worst is None else points[without[worst]],
+    )
+
+
+def error_over_seeds(costs: npt.NDArray[np.float64]) -> float:
+    """Standard error of the mean of costs, shape (seeds, episodes), over both."""
+    variance = costs.mean(axis=0).var(ddof=1) / costs.shape[1]
+    if len(costs) > 1:
+        variance += costs.mean(axis=1).var(ddof=1) / len(costs)
+    return math.sqrt(variance)
 
 
 def make_rows(
@@ -182,33 +263,31 @@ def make_rows(
     """
     rows = []
     closed = not needs_simulation(task.road, task.speed_noise)  # a theory that is itself simulated proves nothing
-    best = evaluations["analytic_optimum"].costs
+    best = evaluations["analytic_optimum"].adjusted_costs
     references = best_feedbacks(evaluations)
+    rooms = gaps(evaluations, references)
     for name, seeds in {**learned, **{name: [evaluation] for name, evaluation in evaluations.items()}}.items():
         for k, point in enumerate(seeds[0].points):
-            costs = np.stack([evaluation.costs[k] for evaluation in seeds])
-            variance = costs.mean(axis=0).var(ddof=1) / costs.shape[1]
-            if len(seeds) > 1:
-                variance += costs.mean(axis=1).var(ddof=1) / len(seeds)
+            freedom = seeds[0].degrees_of_freedom
+            costs = np.stack([evaluation.adjusted_costs[k] for evaluation in seeds])
+            driven_costs = np.stack([evaluation.costs[k] for evaluation in seeds])
             damping = constant_damping(task, name, point)
-            gap_closed, reference = None, references[k]
-            if reference is not None:
-                room = best[k] - evaluations[reference].costs[k]
-                if room.mean() > LEAST_ROOM * best[k].mean():
-                    gap_closed = ratio(best[k] - costs, room)
-            squares = np.mean([evaluation.squares[:, k].mean(axis=-1) for evaluation in seeds], axis=0)
+            squares = np.mean([evaluation.mean_squares[:, k] for evaluation in seeds], axis=0)
+            saved, room = (best[k] - costs)[None], rooms[k]
             rows.append(
                 Row(
                     controller=name,
                     point=point,
                     cost=float(costs.mean()),
-                    standard_error=math.sqrt(variance),
+                    standard_error=error_over_seeds(costs),
+                    driven_cost=float(driven_costs.mean()),
+                    driven_standard_error=error_over_seeds(driven_costs),
                     theory=theoretical_cost(task, damping, point.speed, point.bandwidth)
                     if damping is not None and closed
                     else None,
                     damping=damping,
-                    gain=ratio(best[k] - costs, best[k]),
-                    gap_closed=gap_closed,
+                    gain=ratio(saved, best[k][None], freedom),
+                    gap_closed=None if room is None else ratio(saved, room[None], freedom),
                     switches=float(np.mean([evaluation.switches[k] for evaluation in seeds])),
                     squares=dict(zip(MEAN_SQUARES, squares.tolist(), strict=True)),
                 )
@@ -313,17 +392,19 @@ def compare(
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
     rows, references = make_rows(task, learned, evaluations)
+    mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     configuration = {
         "environment": plain(plant),
         "episodes": episodes,
         "seed": seed,
         "confidence": CONFIDENCE,
+        "control_variates": evaluations["analytic_optimum"].control_variates,
         "best_known_feedback": references,
         "agents": {name: [plain(getattr(agent, "description", None)) for agent in seeds] for name, seeds in named.items()},
         "versions": versions(),
         "written": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-    return Comparison(rows, task, named, references, configuration)
+    return Comparison(rows, task, named, references, configuration, mean_gaps)
 
 
 TITLES = {
@@ -348,6 +429,13 @@ def percent(share: Share | None) -> str:
     return "n/a" if share is None else f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f}%"
 
 
+def above(share: Share) -> str:
+    """By how much a cost is above, or below, in per cent with half its confidence interval."""
+    if share.value >= 0:
+        return f"{percent(share)} above"
+    return f"{percent(Share(-share.value, -share.high, -share.low))} below"
+
+
 def weighted(task: Task) -> str:
     """The cost in words."""
     return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
@@ -361,13 +449,25 @@ def notes(comparison: Comparison) -> list[str]:
         f"D within [{low:g}, {high:g}].",
         f"gain: share of the cost of the best constant D that is saved. Intervals are of {100 * CONFIDENCE:g} % confidence.",
     ]
+    variates = comparison.configuration.get("control_variates")
+    if variates:
+        lines.append(adjusted_by(variates))
+        away = [(row.driven_cost - row.theory) / row.driven_standard_error for row in comparison.rows if row.theory is not None]
+        lines.append(
+            f"As driven, without that adjustment, the {len(away)} costs of constant D in this table are within "
+            f"{max(map(abs, away)):.1f} standard errors of theory."
+        )
     if any(name is not None for name in comparison.references):
         kinds = " or ".join(dict.fromkeys(TITLES.get(name, name) for name in comparison.references if name is not None))
         lines.append(
             f"gap closed: share of the way from the best constant D to the best known feedback ({kinds}); over 100 % where "
-            f"that is beaten, n/a where it saves less than {100 * LEAST_ROOM:g} %."
+            f"that is beaten, n/a where it saves less than {100 * LEAST_ROOM:g} %. The mean counts all other "
+            "points alike, with negative shares too."
         )
     for name, seeds in comparison.agents.items():
+        given = theory_given(seeds[0])
+        if given is not None:
+            lines.append(f"{name} {given}")
         lines.append(
             f"{name}: mean of {len(seeds)} training seeds."
             if len(seeds) > 1
@@ -397,10 +497,46 @@ def columns(comparison: Comparison) -> list[tuple[str, str, list[str]]]:
     return found
 
 
-def mean_gap_closed(comparison: Comparison, name: str) -> float | None:
-    """Mean over the operating points that have a gap of the share that a controller closes; None where there is none."""
-    shares = [row.gap_closed.value for row in comparison.rows if row.controller == name and row.gap_closed is not None]
-    return float(np.mean(shares)) if shares else None
+def theory_given(agent: Predictor) -> str | None:
+    """What a trained agent was given of theory, in words; None of what was not trained here."""
+    if not isinstance(agent, Agent):
+        return None
+    reward = {
+        "advantage": "theory's advantage over the best constant damping, made from the full state whatever it observes",
+        "cost": "the cost",
+    }.get(agent.description.get("training_reward", ""))
+    if reward is None:  # of an agent that was trained before this was noted
+        return None
+    lookahead = has_lookahead(agent.task, agent.description["hyperparameters"].get("features", ()))
+    return f"learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
+
+
+def adjusted_by(control_variates: Sequence[float]) -> str:
+    """What the control variates are, in a sentence."""
+    dampings = ", ".join(f"{damping:.2g}" for damping in control_variates)
+    if len(control_variates) == 1:
+        return f"A constant damping on the same roads, whose cost theory knows, serves as control variate: D = {dampings}."
+    return f"Constant dampings on the same roads, whose costs theory knows, serve as control variates: D = {dampings}."
+
+
+def mean_gap_closed(comparison: Comparison, name: str) -> str:
+    """The mean share of the gap that a learned controller closes, what it is over, and what is left out, in words."""
+    gap = comparison.mean_gaps[name]
+    total, left = len(gap.points) + len(gap.left_out), len(gap.left_out)
+    text = f"{name}: no operating point has a gap to close."
+    if gap.closed is not None:
+        over = (
+            f"all {total} operating points" if not left else f"the {len(gap.points)} of {total} operating points that have one"
+        )
+        text = f"{name} closes {percent(gap.closed)} of the gap on average over {over}."
+    if gap.loss is not None and gap.largest_loss is not None and gap.largest_at is not None:
+        place = f"nu = {comparison.task.frequency_ratio(gap.largest_at.speed):g}"
+        place += f", delta = {gap.largest_at.bandwidth:g}" if gap.largest_at.bandwidth else ""
+        text += (
+            f" Where there is none ({left} of {total} points), its cost is {above(gap.loss)} that of the best constant D on "
+            f"average, {above(gap.largest_loss)} at worst ({place})."
+        )
+    return text
 
 
 def table(comparison: Comparison) -> str:
@@ -422,10 +558,7 @@ def table(comparison: Comparison) -> str:
         if number == 1:
             text.append("-" * max(map(len, text)))
     text.append("")
-    for name in comparison.agents:
-        closed = mean_gap_closed(comparison, name)
-        if closed is not None:
-            text.append(f"{name} closes {100 * closed:.1f} % of the gap on average.")
+    text += [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
     return "\n".join([*text, *notes(comparison)])
 
 

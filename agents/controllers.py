@@ -22,11 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 import analysis
-from roadgym.parameters import ParameterError, number_array, shown, single_precision, within
+from analysis.quadratic import plant_system, regulator_gain
+from roadgym.parameters import ParameterError, number, number_array, shown, single_precision
 from roadgym.roads import Road
 from roadgym.task import OPERATING_POINT, Task
 
-from .advantage import advantage_forms, mean_drift
+from .advantage import STATE, advantage_forms
 
 Observation = npt.NDArray[np.float32]
 Damping = npt.NDArray[np.float32]
@@ -109,7 +110,7 @@ class ConstantDamping(Controller):
 
     def __init__(self, task: Task, damping: float) -> None:
         super().__init__(task)
-        self.constant = within("damping", damping)
+        self.constant = number("damping", damping)  # it saturates at the range
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """The constant."""
@@ -259,9 +260,6 @@ class LeastAcceleration(SemiActive):
         return np.asarray(-travel * relative / (2 * np.maximum(relative**2, np.float32(1e-12))))
 
 
-STATE = ("displacement", "velocity", "level", "slope")  # (Y, X, Z, U)
-
-
 class Scheduled(SemiActive):
     """A rule with quadratic forms of the state (Y, X, Z, U) that are worked out once for each operating point."""
 
@@ -309,26 +307,7 @@ class ClippedLinearQuadratic(Scheduled):
 
     def make_forms(self, ratio: float, bandwidth: float) -> npt.NDArray[np.float64]:
         """Feedback gain of the force on (Y, X, Z, U)."""
-        from scipy.linalg import solve_continuous_are
-
-        drift, entry = mean_drift(0.0, ratio, bandwidth), np.array([[0.0], [-1.0], [0.0], [0.0]])
-        cost, cross, price = np.zeros((4, 4)), np.zeros((4, 1)), np.array([[self.price]])
-        # each signal is a row of the state plus a multiple of the force, which is positive against the body's motion
-        rows = {
-            "displacement": ([1, 0, 0, 0], 0),
-            "velocity": ([0, 1, 0, 0], 0),
-            "acceleration": ([-1, 0, 1, 0], -1),
-            "travel": ([1, 0, -1, 0], 0),
-            "relative_velocity": ([0, 1, 0, -ratio], 0),
-        }
-        for name, weight in self.task.weights_by_name.items():
-            row, force = np.array(rows[name][0], float)[:, None], rows[name][1]
-            cost += weight * row @ row.T
-            cross += weight * force * row
-            price = price + weight * force**2
-        value = solve_continuous_are(drift, entry, cost, price, s=cross)
-        gain: npt.NDArray[np.float64] = (np.linalg.solve(price, entry.T @ value + cross.T))[0]
-        return gain
+        return regulator_gain(plant_system(self.task, 0.0, ratio, bandwidth), self.task.weights_by_name, self.price)
 
     def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
         """D = force/(2 (Y' - Z')), clipped to the range where the damper can only brake."""

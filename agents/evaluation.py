@@ -1,4 +1,7 @@
-"""Driving controllers over the same noise, and what that costs, with standard errors."""
+"""Driving controllers over the same noise, and what that costs, with standard errors.
+
+Constant dampings on the same roads, whose costs theory knows, serve as control variates: see `analysis.control_variates`.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from analysis.control_variates import adjust, control_dampings, expected_squares, least_transient
 from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, non_negative, positive, whole
+from roadgym.roads import HarmonicRoad
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -42,29 +47,61 @@ class OperatingPoint:
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Costs of one controller.
+    """Costs of one controller, as driven and adjusted by control variates.
+
+    Adjusted values have the same expectation and less noise. Those of two controllers may be subtracted episode by episode, as
+    the driven ones may.
 
     Attributes:
         points: the operating points.
-        costs: mean cost (minus the reward) of each episode, shape (points, episodes).
-        squares: mean squares of each episode over E Z^2, in the order of `roadgym.MEAN_SQUARES`, shape (5, points, episodes).
+        costs: mean cost (minus the reward) of each episode as driven, shape (points, episodes).
+        squares: mean squares of each episode over E Z^2 as driven, in the order of `roadgym.MEAN_SQUARES`, shape
+            (5, points, episodes).
         switches: crossings of the middle of the damping range a second, shape (points,).
+        adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
+        control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
     """
 
     points: tuple[OperatingPoint, ...]
     costs: npt.NDArray[np.float64]
     squares: npt.NDArray[np.float64]
     switches: npt.NDArray[np.float64]
+    adjusted_costs: npt.NDArray[np.float64]
+    adjusted_squares: npt.NDArray[np.float64]
+    control_variates: tuple[float, ...] = ()
 
     @property
     def mean(self) -> npt.NDArray[np.float64]:
-        """Mean cost at each point."""
-        return np.asarray(self.costs.mean(axis=1))
+        """Mean cost at each point, from the adjusted costs."""
+        return np.asarray(self.adjusted_costs.mean(axis=1))
 
     @property
     def standard_error(self) -> npt.NDArray[np.float64]:
         """Its standard error, from independent episodes."""
-        return standard_error(self.costs)
+        return standard_error(self.adjusted_costs)
+
+    @property
+    def mean_squares(self) -> npt.NDArray[np.float64]:
+        """Mean of the adjusted squares, shape (5, points)."""
+        return np.asarray(self.adjusted_squares.mean(axis=-1))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Those of the standard error: the episodes less the mean and the coefficients of the control variates."""
+        episodes: int = self.costs.shape[1]
+        return episodes - 1 - len(self.control_variates)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Constant:
+    """The same damping ratio always, whatever is observed."""
+
+    constant: float
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
+        return np.full((len(observation), 1), self.constant, np.float32), state
 
 
 def standard_error(samples: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -129,14 +166,18 @@ def evaluate(
 ) -> dict[str, Evaluation]:
     """Drive each controller over the same roads at every operating point.
 
+    Where theory is exact, constant dampings inside the damping range are driven too, and serve as control variates.
+
     Args:
         controllers: by name.
         environment: parameters of `roadgym.vector.QuarterCarVectorEnv`.
         speeds, bandwidths: the grid of operating points, m/s and 1.
         episodes: independent episodes at each point.
         duration: measured time of an episode, s; 300/natural_frequency by default.
-        transient: time discarded before it, s; by default 5/(D_min natural_frequency), after which what a start at rest leaves
-            of the variance, exp(-2 D_min natural_frequency t) at most, is below 1e-4 of it.
+        transient: time discarded before it, s; by default 5/(D_min natural_frequency), twice that on harmonic roads, and in a
+            narrow range of dampings as much more as lets constant ones serve as control variates. A start at rest leaves a
+            share exp(-2 D t) of the variance, and exp(-D t) where the road remembers its own start. Of the mean cost it is
+            below 1e-4, even at D_min all the time, but for second-order roads with bandwidth times frequency ratio below 0.025.
         seed: fixes the roads; no road of one seed is met in training or under another seed.
         report: called as ``report(what, steps done, steps in all)`` now and then.
 
@@ -149,7 +190,8 @@ def evaluate(
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
     w1 = task.car.natural_frequency
     lasts = 300 / w1 if duration is None else positive("duration", duration)
-    skips = 5 / (task.damping_range[0] * w1) if transient is None else non_negative("transient", transient)
+    forgotten = (10 if isinstance(task.road, HarmonicRoad) else 5) / (task.damping_range[0] * w1)
+    skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:
         raise ParameterError(f"duration must be at least one control interval, {task.control_interval:g} s, got {duration:g}")
@@ -161,8 +203,10 @@ def evaluate(
     if task.bandwidth[1] > 0:
         options["bandwidth"] = np.repeat([point.bandwidth for point in points], episodes)
     middle = np.float32(sum(task.damping_range) / 2)
-    result = {}
-    for name, controller in controllers.items():
+    shape = (len(points), episodes)
+
+    def driven(name: str, controller: Predictor) -> tuple[npt.NDArray[np.float64], ...]:
+        """Costs, squares and switches, as of `Evaluation`."""
         total, squares, switches = np.zeros(number), np.zeros((len(MEAN_SQUARES), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
         steps = drive(controller, envs, stream_seed(seed, 1), options)
@@ -175,11 +219,23 @@ def evaluate(
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
                 report(f"driving {name}", step + 1, skipped + measured)
-        shape = (len(points), episodes)
-        result[name] = Evaluation(
-            points,
+        return (
             (total / measured).reshape(shape),
             (squares / (measured * task.road.variance)).reshape(-1, *shape),
             switches.reshape(shape).mean(axis=1) / (measured * task.control_interval),
         )
+
+    constants = control_dampings(task, skipped * task.control_interval, episodes)
+    controls = np.array([driven(f"constant D = {damping:.2g}", _Constant(damping))[1] for damping in constants])
+    theory = [expected_squares(task, constants, point.speed, point.bandwidth) for point in points] if constants else []
+    result = {}
+    for name, controller in controllers.items():
+        costs, squares, switches = driven(name, controller)
+        adjusted_costs, adjusted_squares = costs.copy(), squares.copy()
+        for k, expected in enumerate(theory):
+            for n, weight in enumerate(task.weights):
+                if np.isfinite(expected[n]).all():
+                    adjusted_squares[n, k] = adjust(squares[n, k], controls[:, n, k], expected[n])
+                    adjusted_costs[k] += weight * (adjusted_squares[n, k] - squares[n, k])
+        result[name] = Evaluation(points, costs, squares, switches, adjusted_costs, adjusted_squares, constants)
     return result

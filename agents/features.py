@@ -16,11 +16,15 @@ import numpy.typing as npt
 from roadgym.parameters import ParameterError
 from roadgym.task import OPERATING_POINT, Task
 
-from .advantage import advantage_forms, has_advantage
-from .controllers import STATE
+from .advantage import STATE, advantage_forms, has_advantage
 from .operating_grid import NODES, OperatingGrid
 
 FEATURES = ("signals", "products", "lookahead")
+
+
+def has_lookahead(task: Task, kinds: Sequence[str]) -> bool:
+    """Is the lookahead among the features of these ``kinds``: asked for, known to theory, and the whole state observed?"""
+    return "lookahead" in kinds and has_advantage(task) and all(name in task.signals for name in (*STATE, *OPERATING_POINT))
 
 
 class Features:
@@ -47,7 +51,7 @@ class Features:
         self._first, self._second = np.triu_indices(len(self._state))
         self._signals, self._products = "signals" in kinds, "products" in kinds
         self._lookahead = None
-        if "lookahead" in kinds and has_advantage(task) and all(name in names for name in (*STATE, *OPERATING_POINT)):
+        if has_lookahead(task, kinds):
             self._lookahead = _Lookahead(task)
         self.size = (
             len(self._point)

@@ -59,11 +59,10 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
         heading = f"ν = {task.frequency_ratio(point.speed):g}" + (f", δ = {point.bandwidth:g}" if point.bandwidth else "")
         rows = [comparison.row(name, point) for name in comparison.controllers]
         groups.append(Group(heading, [_cells(comparison, row) for row in rows]))
-    means = {name: mean_gap_closed(comparison, name) for name in comparison.agents}
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         cost=weighted(task),
-        means={name: f"{100 * value:.1f}" for name, value in means.items() if value is not None},
+        means=[mean_gap_closed(comparison, name) for name in comparison.mean_gaps],
         groups=groups,
         squares=list(comparison.rows[0].squares),
         notes=notes(comparison),

@@ -1,7 +1,9 @@
 """A certificate of a plant: figures of the simulation beside those that theory expects, with a verdict on each.
 
 Road, at the given speed: the variances E Z^2 and E U^2; the spectral density; the law of the level; its bound. At half and
-double speed: the spectral density, and that the law is still the same. Car: the stationary mean squares.
+double speed: the spectral density, and that the law is still the same. Car: the stationary mean squares; those where D
+alternates between a soft and a firm level, whose covariance is periodic; and those where the skyhook rule switches D, against
+what theory expects of each interval, given the state in which it began (`analysis.sampling.Switching`).
 
 *Spectral density.* The measured figure is a periodogram under Hann's window, averaged over lanes. The expected one is its exact
 mean, the spectrum as the same record shows it, sum over lags k of (window * window)(k) R(k) cos(w k) with the autocovariance R.
@@ -32,6 +34,7 @@ import numpy.typing as npt
 
 from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, whole, within
+from roadgym.plant import PlantError
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
 from roadgym.task import check_plant
@@ -39,12 +42,13 @@ from roadgym.task import check_plant
 from .checks import FloatArray, range_array
 from .response import mean_squares
 from .roads import marginal_density
-from .sampling import Samples, drive
+from .sampling import Samples, Switching, drive
 
 FALSE_ALARM_RATE = 1e-3  # probability, at most, that a sound plant does not pass
 FEWEST_LANES = 1024  # below, means of squares over lanes are too skew for the normal law far out in its tails
 ROAD_TOLERANCE = 1e-3  # what rounding and tables may move the figures of a road that is exact in law
 CAR_TOLERANCE = 5e-3  # what the car's scheme promises
+SOFT = 0.25  # of the damping: the soft level where D switches
 LAW_CELLS = 8192
 FREQUENCIES = (0.5, 1.0, 2.0)  # of the spectral density, over the angular rate of the road, wavenumber * speed
 
@@ -168,10 +172,43 @@ def certify(
     if whole("lanes", lanes, of="lanes") < FEWEST_LANES:
         raise ParameterError(f"lanes must be at least {FEWEST_LANES} to have a standard error, got {lanes}")
 
+    try:
+        lines, left_out = _compared(road, speed_noise, speed, damping, natural_frequency, seed, lanes, report)
+    except PlantError as error:
+        lines, left_out = (
+            [Line(name="numbers that are not finite", measured=math.nan, expected=0.0, passed=False)],
+            [str(error)],
+        )
+    significance = FALSE_ALARM_RATE / max(1, sum(line.p_value is not None for line in lines))
+    noise = "no speed noise" if speed_noise is None else f"{_words(speed_noise)} speed noise"
+    return Certificate(
+        plant=f"{_words(road)} road, {noise}",
+        drive=f"speed {speed:g} m/s, damping {damping:g}, natural frequency {natural_frequency:g} rad/s; "
+        f"{lanes} lanes, seed {seed}",
+        significance=significance,
+        # a figure that is not a number has no p-value either, and fails
+        lines=tuple(
+            line if line.p_value is None else dataclasses.replace(line, passed=line.p_value >= significance) for line in lines
+        ),
+        left_out=tuple(left_out),
+    )
+
+
+def _compared(
+    road: Road,
+    speed_noise: SpeedNoise | None,
+    speed: float,
+    damping: float,
+    natural_frequency: float,
+    seed: int,
+    lanes: int,
+    report: Callable[[str, int, int], None] | None,
+) -> tuple[list[Line], list[str]]:
+    """The lines, without their verdicts, and what is left out."""
     turn = speed * road.wavenumber
     # off its line, the spectrum of a sinusoid is leakage and nothing else
     ratios = (1.0,) if isinstance(road, HarmonicRoad) and speed_noise is None else FREQUENCIES
-    seeds = np.random.SeedSequence(seed).generate_state(3, np.uint64)
+    seeds = np.random.SeedSequence(seed).generate_state(4, np.uint64)
     speeds = {1.0: ratios, 0.5: (1.0,), 2.0: (1.0,)}
     samples = {
         factor: drive(
@@ -185,13 +222,13 @@ def certify(
             seed=int(own_seed),
             report=None if report is None else _at(report, f"at {factor * speed:g} m/s"),
         )
-        for (factor, chosen), own_seed in zip(speeds.items(), seeds, strict=True)
+        for (factor, chosen), own_seed in zip(speeds.items(), seeds, strict=False)
     }
     own, slow, fast = samples[1.0], samples[0.5], samples[2.0]
 
     uncertainty = road.variance_standard_error / road.variance if isinstance(road, MultiplicativeRoad) else 0.0
     lines = [_moment("variance of the level (m^2)", own.level_square, road.variance, uncertainty=uncertainty)]
-    left_out = []
+    left_out: list[str] = []
     if road.has_slope:
         lines.append(_moment("variance of the slope (m^2)", own.slope_square, road.variance, uncertainty=uncertainty))
     try:
@@ -215,20 +252,20 @@ def certify(
                 left_out.append(f"{name} (infinite on this plant)")
     except ParameterError as error:
         left_out.append(f"mean squares of the car ({error})")
-
-    significance = FALSE_ALARM_RATE / sum(line.p_value is not None for line in lines)
-    noise = "no speed noise" if speed_noise is None else f"{_words(speed_noise)} speed noise"
-    return Certificate(
-        plant=f"{_words(road)} road, {noise}",
-        drive=f"speed {speed:g} m/s, damping {damping:g}, natural frequency {natural_frequency:g} rad/s; "
-        f"{lanes} lanes, seed {seed}",
-        significance=significance,
-        # a figure that is not a number has no p-value either, and fails
-        lines=tuple(
-            line if line.p_value is None else dataclasses.replace(line, passed=line.p_value >= significance) for line in lines
-        ),
-        left_out=tuple(left_out),
+    lines += _switching_lines(
+        road,
+        speed_noise,
+        left_out,
+        damping=(SOFT * damping, damping),
+        speed=speed,
+        natural_frequency=natural_frequency,
+        lanes=lanes,
+        seed=int(seeds[3]),
+        uncertainty=uncertainty,
+        report=report,
     )
+
+    return lines, left_out
 
 
 def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLike, *, speed: float) -> FloatArray:
@@ -344,6 +381,43 @@ def _law_lines(road: Road, own: Samples, slow: Samples, fast: Samples, left_out:
         largest = own.largest_square / bound
         passed = bool(largest <= 1 + 8 * np.finfo(np.float64).eps)  # the rounding of the ratio itself
         lines.append(Line(name="largest (Z^2 + U^2)/r0^2, at most 1", measured=largest, expected=1.0, passed=passed))
+    return lines
+
+
+def _switching_lines(
+    road: Road,
+    speed_noise: SpeedNoise | None,
+    left_out: list[str],
+    *,
+    damping: tuple[float, float],
+    speed: float,
+    natural_frequency: float,
+    lanes: int,
+    seed: int,
+    uncertainty: float,
+    report: Callable[[str, int, int], None] | None,
+) -> list[Line]:
+    """Mean squares of the car where D switches."""
+    what = "mean squares of the car where D switches"
+    if speed_noise is not None:
+        left_out.append(f"{what} ({_no_closed_form(road, speed_noise)})")
+        return []
+    if road.shaping_filter() is None:
+        left_out.append(f"{what} (none are known for a {road.kind} road)")
+        return []
+    switching = Switching(road, damping=damping, speed=speed, natural_frequency=natural_frequency, lanes=lanes, seed=seed)
+    lines = []
+    ways = {"D alternating": switching.alternate, "skyhook": switching.skyhook}
+    if not switching.knows_state:
+        left_out.append(f"{what} by the state (its conditional moments are not known)")
+        del ways["skyhook"]
+    for way, drive_way in ways.items():
+        measured, expected = drive_way(None if report is None else _at(report, f"with {way}"))
+        for term, found, figures in zip(switching.names, measured, expected, strict=True):
+            figure = float(np.mean(figures))
+            name = f"{term.replace('_', ' ')} with {way} (m^2)"
+            # lane by lane, what theory expects takes most of the noise out
+            lines.append(_moment(name, found - figures + figure, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
     return lines
 
 

@@ -25,8 +25,9 @@ range. Often, not always, its minimum lies at an end. The coefficients, which ar
 feedback: they are interpolated, and minimised at the state met.
 
 *The criterion.* What a table says of itself is not a cost. Each feedback is driven on the plant, and the table refined until
-that no longer helps. Whatever the error of the table, the cost reported is that of a feedback that exists, so an upper bound of
-the least cost, up to its standard error.
+that no longer helps. Constant dampings drive over the same noise, and their exact costs take most of it out of the driven cost
+(`analysis.control_variates`). Whatever the error of the table, the cost reported is that of a feedback that exists, so an upper
+bound of the least cost, up to its standard error.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES
 from roadgym.compiled import compiled
 from roadgym.kernel import RESULT_SQUARE, REWARD
+from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, number_array, positive_range, shown, whole, within
 from roadgym.plant import Plant
 from roadgym.reward import check_weights
@@ -59,18 +60,20 @@ from roadgym.roads import GaussianRoad, MultiplicativeRoad, Road, make_road
 from roadgym.task import Task, make_task
 
 from .checks import FloatArray
+from .control_variates import adjust, control_dampings, expected_squares, least_transient
 from .optimum import DISPLACEMENT, optimal_damping
-from .response import covariance
+from .quadratic import interval_mean, plant_system
 
 SingleArray = npt.NDArray[np.float32]
 
-FORMAT = 1  # of the cached files; raise it whenever results change
+FORMAT = 2  # of the cached files; raise it whenever results change
 STATE = ("displacement", "velocity", "level", "slope")
 GRIDS = ((5, 16, 16), (6, 16, 24), (8, 24, 36), (11, 32, 54))  # rings, rays, and rows (as many columns), coarse to fine
 LARGEST_RADIUS = 4.0  # end of the polar grid on roads without a nearer bound; beyond lies 3e-4 of the Gaussian law
 BOX = 5.0  # half the sides of the rectangle, in root mean squares of the car
 SWEEPS, CHECK, SETTLED = 400, 10, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
 LANES_DRIVEN, PIECE = 2560, 250  # cars driven together, and intervals between two looks at the standard error
+FEWEST_PIECES = 3  # the adjusted error is soon small, and shorter drives adjust less well
 COMPARED = 0.005  # relative standard error of the costs, over common noise, by which grids are compared
 TRUSTED = 4.0  # times the tolerance by which the cost that a table expects may differ from the driven one
 
@@ -464,8 +467,8 @@ def _geometry(
 class _Model:
     """The Markov chain of an operating point up to its second moments, and h0 of the best constant damping.
 
-    A quadratic form s'Ns + n is a vector of N's 16 entries and n; `_backward` gives the matrix that takes it to its
-    conditional mean.
+    Quadratic forms are vectors of 16 entries and a constant, and what takes one to its conditional mean after an interval is a
+    matrix, as in `analysis.quadratic.interval_mean`.
 
     Attributes:
         deviation: root mean squares of (Y, X) under the best constant damping, shape (2,).
@@ -475,12 +478,8 @@ class _Model:
     """
 
     def __init__(self, task: Task) -> None:
-        from scipy.linalg import expm
-
-        self._expm = expm
         self._task, self._road = task, task.road
         self._interval = task.control_interval * task.car.natural_frequency
-        self._ratio = float(task.frequency_ratio(task.speed[0]))
         best = optimal_damping(
             task.road,
             speed=task.speed[0],
@@ -488,21 +487,21 @@ class _Model:
             weights=task.weights_by_name,
             bounds=task.damping_range,
         )
-        backward, cost = self._backward(float(best.damping))
+        constant = self._system(float(best.damping))
+        backward, cost = self._backward(constant)
         value = np.append(np.linalg.solve(np.eye(16) - backward[:16, :16], cost[:16]), 0.0)
-        self.deviation = np.sqrt(np.diag(self._covariance(float(best.damping)))[:2])
+        self.deviation = np.sqrt(np.diag(constant.covariance())[:2])
 
         middle, half, rate = _variable(task.damping_range, self._interval)
         self.maps, self.gains, self.forms = np.empty((NODES, 2, 4)), np.empty((NODES, 2, 2)), np.empty((NODES, 11))
         upper = np.triu_indices(4)
         order = [0, 1, 4, 2, 3, 5, 6, 7, 8, 9]  # the upper triangle has yy, yz, yu after yx, and xx after them
         for k, damping in enumerate(-np.log1p(-(middle + half * NODE)) / rate):
-            step = expm(self._drift(damping) * self._interval)
-            total = self._covariance(damping)
-            noise = total - step @ total @ step.T  # mean of the conditional covariance
+            system = self._system(damping)
+            step, noise = system.transition(self._interval), system.step_covariance(self._interval)
             self.maps[k] = step[:2]
             self.gains[k] = noise[:2, 2:] @ np.linalg.inv(noise[2:, 2:])
-            backward, cost = self._backward(damping)
+            backward, cost = self._backward(system)
             form = cost + backward @ value - value
             matrix = form[:16].reshape(4, 4)
             both = matrix + matrix.T - np.diag(np.diag(matrix))
@@ -510,41 +509,14 @@ class _Model:
         self._turn = step[2:, 2:]
         self._second = backward[:, [10, 11, 15]]  # of zz, zu, uu; like the turn, whatever D
 
-    def _drift(self, damping: float) -> FloatArray:
-        """Matrix A of the drift A s."""
-        nu, twice = self._ratio, 2 * damping
-        filtered = -2 * self._task.bandwidth[0] * nu
-        return np.array([[0, 1, 0, 0], [-1, -twice, 1, twice * nu], [0, 0, 0, nu], [0, 0, -nu, filtered]])
+    def _system(self, damping: float) -> LinearSystem:
+        """The plant at a constant damping."""
+        return plant_system(self._task, damping, self._task.frequency_ratio(self._task.speed[0]), self._task.bandwidth[0])
 
-    def _covariance(self, damping: float) -> FloatArray:
-        """Stationary covariance of s."""
-        task = self._task
-        result = covariance(self._road, damping=damping, speed=task.speed[0], natural_frequency=task.car.natural_frequency)
-        return result / self._road.variance
-
-    def _backward(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """(conditional mean of a form over an interval, shape (17, 17); interval cost as a form, shape (17,))."""
-        drift, nu = self._drift(damping), self._ratio
-        one = np.eye(4)
-        generator = np.zeros((17, 17))
-        generator[:16, :16] = np.kron(drift.T, one) + np.kron(one, drift.T)
-        intensity = 4 * self._task.bandwidth[0] * nu
-        bounded = 1 / self._road.shape if isinstance(self._road, MultiplicativeRoad) else 0.0
-        generator[[10, 15], 15] -= intensity * bounded / 2  # uu gains by the noise, less where zz + uu is large
-        generator[16, 15] = intensity * (1 + bounded)
-
-        travel, relative = np.array([1.0, 0, -1, 0]), np.array([0, 1.0, 0, -nu])
-        acceleration = 2 * damping * relative + travel
-        signals = dict(zip(MEAN_SQUARES, (one[0], one[1], acceleration, travel, relative), strict=True))
-        weights = self._task.weights_by_name
-        # one row and column more integrate the squares over the interval
-        whole_interval = np.zeros((18, 18))
-        whole_interval[:17, :17] = generator
-        whole_interval[:16, 17] = sum(
-            weight * np.ravel(np.outer(signals[name], signals[name])) for name, weight in weights.items()
-        )
-        step = self._expm(whole_interval * self._interval)
-        return step[:17, :17], step[:17, 17] / self._interval
+    def _backward(self, system: LinearSystem) -> tuple[FloatArray, FloatArray]:
+        """(conditional mean of a form over an interval, mean cost over it as a form)."""
+        backward, cost = interval_mean(system, system.cost_form(self._task.weights_by_name), self._interval)
+        return backward, cost / self._interval
 
     def road_step(self, rings: int, rays: int) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64], SingleArray]:
         """(road, offset, index, weight) of `sweep`: the computed half of the polar grid, and the road's step from it."""
@@ -621,7 +593,7 @@ def _solve(
 
 @dataclasses.dataclass(frozen=True)
 class _Drive:
-    """Driven cost, its standard error, root mean squares of (Y, X), and the pieces it took."""
+    """Driven cost, adjusted by control variates, its standard error, root mean squares of (Y, X), and the pieces it took."""
 
     cost: float
     standard_error: float
@@ -642,35 +614,51 @@ def _drive(
 ) -> _Drive:
     """Drive a feedback for ``pieces``, or until the relative standard error is at most ``precision``.
 
-    A start at rest leaves exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4.
+    Constant dampings over the same noise serve as control variates, see `analysis.control_variates`. A start at rest leaves
+    exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4, and to far less for those.
     """
-    plant = Plant(task, LANES_DRIVEN, threads=threads)
     everyone = np.ones(LANES_DRIVEN, np.bool_)
-    plant.seed(noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64), everyone)
-    states, _ = plant.reset(plant.forced({}), everyone)
+    seeds = noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64)
+
+    def start() -> tuple[Plant, SingleArray]:
+        plant = Plant(task, LANES_DRIVEN, threads=threads)
+        plant.seed(seeds, everyone)
+        return plant, plant.reset(plant.forced({}), everyone)[0]
+
+    plant, states = start()
     columns = np.array([task.signals.index(name) for name in STATE])
     low, high = np.array(task.damping_range, np.float32)
     damping = np.empty(LANES_DRIVEN, np.float32)
     total, squares = np.zeros(LANES_DRIVEN), np.zeros(2)
+    forgotten = 5 / (task.damping_range[0] * task.car.natural_frequency)
+    skipped = math.ceil(max(forgotten, least_transient(task)) / task.control_interval)
+    constants = control_dampings(task, skipped * task.control_interval, LANES_DRIVEN)
+    expected = np.array(task.weights) @ expected_squares(task, constants, task.speed[0])
+    rivals = [start()[0] for _ in constants]
+    held = [np.full(LANES_DRIVEN, constant, np.float32) for constant in constants]
+    controls = np.zeros((len(constants), LANES_DRIVEN))
 
     def respond(seen: SingleArray) -> None:
         share(LANES_DRIVEN, lambda begin, end: evaluate(begin, end, seen, columns, *table, damping))
 
-    skipped = math.ceil(5 / (task.damping_range[0] * task.car.natural_frequency * task.control_interval))
     step, measured, mean, error = 0, 0, 0.0, math.inf
-    while error > precision * mean if pieces is None else measured < pieces * PIECE:
+    least = FEWEST_PIECES if pieces is None else pieces
+    while measured < least * PIECE or (pieces is None and error > precision * mean):
         for _ in range(PIECE if step >= skipped else skipped):
             respond(states)
             states, results, _, _ = plant.step(np.clip(damping, low, high, out=damping))
+            costs = [rival.step(constant)[1][REWARD] for rival, constant in zip(rivals, held, strict=True)]
             if step >= skipped:
                 total -= results[REWARD]
+                for control, cost in zip(controls, costs, strict=True):
+                    control -= cost
                 squares += np.mean(results[RESULT_SQUARE : RESULT_SQUARE + 2], axis=1, dtype=float)
                 measured += 1
             step += 1
         if measured:
-            mean = float(total.mean()) / measured
-            error = float(total.std(ddof=1)) / measured / math.sqrt(LANES_DRIVEN)
-            told(min((precision * mean / error) ** 2, 1.0) if pieces is None else measured / (pieces * PIECE))
+            adjusted = adjust(total / measured, controls / measured, expected)
+            mean, error = float(adjusted.mean()), float(adjusted.std(ddof=1)) / math.sqrt(LANES_DRIVEN)
+            told(min((precision * mean / error) ** 2, measured / (least * PIECE), 1.0))
     return _Drive(mean, error, np.sqrt(squares / measured), measured // PIECE)
 
 

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES
+from roadgym.car import MEAN_SQUARES, QuarterCar
+from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, within
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
@@ -181,9 +182,9 @@ def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray)
 def covariance(
     road: str | Mapping[str, Any] | Road, *, damping: npt.ArrayLike, speed: npt.ArrayLike, natural_frequency: float = 1.0
 ) -> FloatArray:
-    """Stationary covariance of (Y, X, Z, U), X = Y'/w1, on a second-order road, from the moment equations (14) of Wedig (2020).
+    """Stationary covariance of (Y, X, Z, U), X = Y'/w1, on a second-order road, by Lyapunov's equation.
 
-    Solved numerically, independent of the closed forms of `mean_squares`.
+    Solved numerically, independent of the closed forms of `mean_squares`; the moment equations (14) of Wedig (2020) are it.
 
     Args:
         road: a Gaussian or multiplicative road.
@@ -200,20 +201,4 @@ def covariance(
     w1 = within("natural_frequency", natural_frequency)
     damping, speed = broadcast(damping=range_array("damping", damping, "damping"), speed=checked_speed(speed, road, w1))
     nu = speed * (road.wavenumber / w1)
-    twice = 2 * damping
-    delta = road.bandwidth
-    matrix = np.zeros((*nu.shape, 4, 4))  # (14), for E ZY, E ZX, E UY, E UX over E Z^2
-    matrix[..., 0, 1], matrix[..., 0, 2] = -1, -nu
-    matrix[..., 1, 0], matrix[..., 1, 1], matrix[..., 1, 3] = 1, twice, -nu
-    matrix[..., 2, 0], matrix[..., 2, 2], matrix[..., 2, 3] = nu, 2 * delta * nu, -1
-    matrix[..., 3, 1], matrix[..., 3, 2], matrix[..., 3, 3] = nu, 1, twice + 2 * delta * nu
-    forcing = np.zeros((*nu.shape, 4, 1))
-    forcing[..., 1, 0], forcing[..., 3, 0] = 1, twice * nu
-    zy, zx, uy, ux = np.moveaxis(np.linalg.solve(matrix, forcing)[..., 0], -1, 0)
-    velocity = nu * ux + zx / twice  # from d(X^2)
-    result = np.zeros((*nu.shape, 4, 4))
-    result[..., 0, 0], result[..., 1, 1] = velocity + zy + twice * nu * uy, velocity  # from d(Y X)
-    result[..., 2, 2] = result[..., 3, 3] = 1
-    for row, column, value in ((0, 2, zy), (1, 2, zx), (0, 3, uy), (1, 3, ux)):
-        result[..., row, column] = result[..., column, row] = value
-    return road.variance * result
+    return road.variance * LinearSystem.of(road.shaping_filter(), QuarterCar().motion, damping=damping, ratio=nu).covariance()

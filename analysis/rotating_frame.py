@@ -8,9 +8,9 @@ whose means are stationary. E C is the car's transfer function averaged over the
 exactly (see `analysis.phase_noise`). The paper derives moment equations instead and, where the filtered noise Psi multiplies V,
 closes them by E(Psi^2 V) = E(Psi^2) E(V).
 
-With white noise in dphi Ito's product rule adds covariations, which the printed (20)-(24) and (33)-(36) leave out: the noise
+With white noise in dphi Ito's product rule adds covariations, which the printed (20)-(24) and (33), (34) leave out: the noise
 enters the drift of V as -sigma^2/2 and the forcing of G as mu (w1 + D sigma^2), where the paper has +sigma^2/2 and
-mu (w1 - D sigma^2). Low-pass noise is smooth, and (26)-(29) are printed right.
+mu (w1 - D sigma^2). (35), (36) are right with A and x corrected. Low-pass noise is smooth, and (26)-(29) are printed right.
 """
 
 from __future__ import annotations

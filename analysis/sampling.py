@@ -9,10 +9,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from roadgym.compiled import LEVEL, SLOPE
+from roadgym.car import MEAN_SQUARES
+from roadgym.compiled import DISPLACEMENT, LEVEL, SLOPE, VELOCITY
 from roadgym.kernel import RESULT_SQUARE
 from roadgym.plant import Plant
 from roadgym.roads import Road
@@ -21,9 +23,11 @@ from roadgym.task import LARGEST_ANGLE, make_task
 
 from .checks import FloatArray, check_size
 from .phase_noise import slowest_decay
+from .quadratic import interval_mean, periodic_mean_squares, plant_system
 
 RECORD_ANGLE = 100.0  # rad that the slower of road and car turns in the record
 SETTLED = 8.0  # times the slowest time constant before the record: e^-8 of a start at rest is left
+STATE_ROWS = {"displacement": DISPLACEMENT, "velocity": VELOCITY, "level": LEVEL, "slope": SLOPE}
 REPORTS = 50  # intervals between two reports
 
 
@@ -130,6 +134,90 @@ def drive(
         window=window,
         interval=interval,
     )
+
+
+class Switching:
+    """Independent cars whose D switches between a soft and a firm level, at the substep that a task chooses by itself.
+
+    Args:
+        road: a road with a shaping filter.
+        damping: the soft and the firm level, 1.
+        speed, natural_frequency, lanes, seed: as for `drive`.
+
+    Attributes:
+        names: the mean squares that are finite.
+    """
+
+    def __init__(
+        self, road: Road, *, damping: tuple[float, float], speed: float, natural_frequency: float, lanes: int, seed: int
+    ) -> None:
+        self._task = make_task(road=road, speed=speed, damping_range=damping, natural_frequency=natural_frequency)
+        self._levels = np.array(damping, np.float32)
+        self._interval = self._task.control_interval * natural_frequency
+        self._ratio = float(self._task.frequency_ratio(speed))
+        bandwidth = self._task.bandwidth[0]
+        self._soft, self._firm = (plant_system(self._task, float(level), self._ratio, bandwidth) for level in self._levels)
+        self.names = [name for name in MEAN_SQUARES if name not in self._soft.rough]
+        self._plant = Plant(self._task, lanes)
+        everyone = np.ones(lanes, np.bool_)
+        self._plant.seed(np.random.SeedSequence(seed).generate_state(lanes, np.uint64).astype(np.uint64), everyone)
+        self._plant.reset(self._plant.forced({}), everyone)
+
+    def _drive(self, firm: Callable[[int], Any], report: Callable[[int, int], None] | None) -> FloatArray:
+        """Mean squares of each lane, m^2, shape (names, lanes); steps before the record have negative numbers."""
+        skipped = math.ceil(SETTLED / (_decay(float(self._levels[0])) * self._interval))
+        measured = self._measured()
+        rows = RESULT_SQUARE + np.array([MEAN_SQUARES.index(name) for name in self.names])
+        totals = np.zeros((len(self.names), self._plant.num_envs))
+        for step in range(-skipped, measured):
+            actions = np.broadcast_to(np.where(firm(step), self._levels[1], self._levels[0]), self._plant.num_envs)
+            results = self._plant.step(np.ascontiguousarray(actions))[1]
+            if step >= 0:
+                totals += results[rows]
+            if report and (step % REPORTS == 0 or step == measured - 1):
+                report(skipped + step + 1, skipped + measured)
+        return np.asarray(self._task.road.variance * totals / measured)
+
+    def _measured(self) -> int:
+        return math.ceil(RECORD_ANGLE / min(self._ratio, 1.0) / self._interval)
+
+    def alternate(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
+        """(measured, expected) mean squares with D firm and soft in turn, m^2, shapes (names, lanes) and (names,)."""
+        expected = periodic_mean_squares([self._firm, self._soft], self._interval)
+        measured = self._drive(lambda step: step % 2 == 0, report)
+        return measured, self._task.road.variance * np.array([float(expected[name]) for name in self.names])
+
+    @property
+    def knows_state(self) -> bool:
+        """Can `skyhook` be driven: is the state all that there is, and are its conditional moments known?"""
+        return self._soft.flatness is not None and all(name in STATE_ROWS for name in self._soft.states)
+
+    def skyhook(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
+        """(measured, expected) mean squares with D firm where it brakes the body, m^2, shape (names, lanes) each.
+
+        Whatever sets D, the mean of a square over an interval has a known mean, given the state at its beginning: a quadratic
+        form. What is expected of a lane is the average of that over the states in which its D was set.
+        """
+        size = len(self._soft.states)
+        forms = np.empty((2, len(self.names), size * size + 1))
+        for k, system in enumerate((self._soft, self._firm)):
+            for n, name in enumerate(self.names):
+                forms[k, n] = interval_mean(system, system.cost_form({name: 1.0}), self._interval)[1] / self._interval
+        expected = np.zeros((len(self.names), self._plant.num_envs))
+        rows = [STATE_ROWS[name] for name in self._soft.states]
+        velocity, relative = (self._soft.signals[name] for name in ("velocity", "relative_velocity"))
+
+        def firm(step: int) -> Any:
+            state = np.stack([self._plant.row(row) for row in rows]).astype(float)
+            braking = (velocity @ state) * (relative @ state) > 0
+            if step >= 0:
+                squares = (state[:, None] * state).reshape(size * size, -1)
+                soft, hard = (form[:, :-1] @ squares + form[:, -1:] for form in forms)
+                expected[:] += np.where(braking, hard, soft)
+            return braking
+
+        measured = self._drive(firm, report)
+        return measured, self._task.road.variance * expected / self._measured()
 
 
 def _decay(damping: float) -> float:

@@ -59,8 +59,8 @@ def main() -> None:
     driven, best = results["agent"], results["analytic_optimum"]
     for k, point in enumerate(driven.points):
         cells = [f"{result.mean[k]:.4f} ± {result.standard_error[k]:.4f}" for result in results.values()]
-        # costs has the shape (points, episodes); episode i met the same road under each controller
-        saved = best.costs[k] - driven.costs[k]
+        # adjusted_costs has the shape (points, episodes); episode i met the same road under each controller
+        saved = best.adjusted_costs[k] - driven.adjusted_costs[k]
         error = saved.std(ddof=1) / np.sqrt(saved.size)
         cells.append(f"{saved.mean():.4f} ± {error:.4f}")
         print(f"{point.speed:6g}{point.bandwidth:11g}" + "".join(f"{cell:>20}" for cell in cells))

@@ -16,10 +16,28 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import numpy as np
+
 from .compiled import compiled, like
+from .linear import Motion
 from .parameters import positive
 
-MEAN_SQUARES = ("displacement", "velocity", "acceleration", "travel", "relative_velocity")
+# q = (Y, X); each signal as (row of q, of Z, of dZ/dt, of the damper's force F_D = 2 D (X - dZ/dt))
+MOTION = Motion(
+    states=("displacement", "velocity"),
+    drift=np.array([[0.0, 1.0], [-1.0, 0.0]]),
+    level_entry=np.array([0.0, 1.0]),
+    slope_entry=np.array([0.0, 0.0]),
+    force_entry=np.array([0.0, 1.0]),
+    signals={
+        "displacement": (np.array([1.0, 0.0]), 0.0, 0.0, 0.0),
+        "velocity": (np.array([0.0, 1.0]), 0.0, 0.0, 0.0),
+        "acceleration": (np.array([-1.0, 0.0]), 1.0, 0.0, -1.0),
+        "travel": (np.array([1.0, 0.0]), -1.0, 0.0, 0.0),
+        "relative_velocity": (np.array([0.0, 1.0]), 0.0, -1.0, 0.0),
+    },
+)
+MEAN_SQUARES = tuple(MOTION.signals)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,6 +52,11 @@ class QuarterCar:
 
     def __post_init__(self) -> None:
         positive("natural_frequency", self.natural_frequency)
+
+    @property
+    def motion(self) -> Motion:
+        """Its equations, (13), in units of time 1/natural_frequency."""
+        return MOTION
 
 
 @compiled

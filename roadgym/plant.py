@@ -157,17 +157,17 @@ class Plant:
             PlantError: a number is not finite.
         """
         if self.threads == 1:
-            found = [function(0, self.blocks, *arguments)]
+            unsound = function(0, self.blocks, *arguments)
         else:
             edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
             pool = _pool(self.threads)
             futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
             found = [function(edges[0], edges[1], *arguments), *(future.result() for future in futures)]
-        unsound = [environment for environment in found if environment >= 0]
-        if unsound:
+            unsound = min((environment for environment in found if environment >= 0), default=-1)
+        if unsound >= 0:
             raise PlantError(
-                f"environment {min(unsound)} of {self.num_envs} has left the numbers that {self.dtype} can hold; reset it, and "
-                f"look for what drove it there: {self.task}"
+                f"environment {unsound} of {self.num_envs} has left the numbers that {self.dtype} can hold; reset it, and look "
+                f"for what drove it there: {self.task}"
             )
 
     def seed(self, seeds: npt.NDArray[np.uint64], mask: npt.NDArray[np.bool_]) -> None:

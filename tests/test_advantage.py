@@ -5,11 +5,12 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 import agents
-from agents.advantage import advantage_forms, has_advantage, mean_drift, value_form
+from agents.advantage import advantage_forms, has_advantage
 from agents.advantage_reward import AdvantageReward
 from agents.controllers import make_controller, optimum, theoretical_cost
 from agents.features import Features
 from agents.vec_env import QuarterCarVecEnv
+from analysis.quadratic import plant_system, value_form
 from roadgym import ParameterError
 from roadgym.compiled import DISPLACEMENT, LEVEL, SLOPE, VELOCITY
 from roadgym.plant import Plant
@@ -20,8 +21,10 @@ WEIGHTS = {"displacement": 1.0, "velocity": 0.2, "acceleration": 0.3, "travel": 
 
 
 def stationary(damping, ratio, bandwidth):
-    diffusion = np.diag([0, 0, 0, 4 * bandwidth * ratio])
-    return solve_continuous_lyapunov(mean_drift(damping, ratio, bandwidth), -diffusion)
+    drift = np.zeros((4, 4))  # of (Y, X, Z, U), (7) and (13) of the paper
+    drift[0, 1], drift[1] = 1, (-1, -2 * damping, 1, 2 * damping * ratio)
+    drift[2, 3], drift[3, 2:] = ratio, (-ratio, -2 * bandwidth * ratio)
+    return solve_continuous_lyapunov(drift, -np.diag([0, 0, 0, 4 * bandwidth * ratio]))
 
 
 @pytest.mark.parametrize("reference", [0.3, 0.9])
@@ -31,7 +34,7 @@ def test_mean_advantage_is_the_difference_of_costs(road, reference):
     task = make_task(**{**ENVIRONMENT, "road": road}, reward=WEIGHTS)
     dampings = np.array([0.05, 0.3, 0.9])
     forms, constants = advantage_forms(task, dampings, [reference], [1.3], [0.2])
-    _, mean_cost = value_form(task, reference, 1.3, 0.2)
+    _, mean_cost = value_form(plant_system(task, reference, 1.3, 0.2), WEIGHTS)
     assert mean_cost == pytest.approx(theoretical_cost(task, reference, 1.3, 0.2))
     for damping, form, constant in zip(dampings.tolist(), forms[0], constants[0], strict=True):
         found = np.trace(form @ stationary(damping, 1.3, 0.2)) + constant
@@ -49,7 +52,7 @@ def test_advantage_is_what_simulation_finds(road):
     lanes = 200_000
     plant = Plant(task, lanes)
     everyone = np.ones(lanes, np.bool_)
-    value, mean_cost = value_form(task, 0.3, 1.3, 0.2)
+    value, mean_cost = value_form(plant_system(task, 0.3, 1.3, 0.2), WEIGHTS)
     found = []
     for damping in (0.05, 0.9):
         plant.seed(np.arange(lanes, dtype=np.uint64), everyone)  # the same noise for both

@@ -1,6 +1,7 @@
 """Evaluation, comparison and the command line, at small size."""
 
 import csv
+import dataclasses
 import json
 import re
 import subprocess
@@ -12,9 +13,9 @@ import pytest
 
 import agents
 from agents.cli import main
-from agents.comparison import Comparison, Share, compare, make_rows, ratio, table, with_error, write
+from agents.comparison import Comparison, Share, compare, make_rows, mean_gap, mean_gap_closed, ratio, table, with_error, write
 from agents.controllers import ConstantDamping, make_controller, optimum, theoretical_cost
-from agents.evaluation import Evaluation, OperatingPoint, evaluate
+from agents.evaluation import Evaluation, OperatingPoint, evaluate, standard_error
 from roadgym import ParameterError
 from roadgym.task import make_task
 
@@ -39,12 +40,15 @@ def test_constant_damping_costs_what_theory_says():
         speeds=[0.7, 1.5, 3.0],
         bandwidths=[0.1, 0.3],
         episodes=400,
-        transient=25.0,
     )["constant"]
+    driven, error = found.costs.mean(axis=1), standard_error(found.costs)
     for k, point in enumerate(found.points):
         expected = theoretical_cost(TASK, float(np.float32(0.4)), point.speed, point.bandwidth)
-        assert found.standard_error[k] < 0.01 * expected
-        assert abs(found.mean[k] - expected) < 4 * found.standard_error[k]
+        assert error[k] < 0.01 * expected
+        assert abs(driven[k] - expected) < 4 * error[k]
+        # other constant dampings on the same roads take out nearly all noise; the scheme's own bias shows up then
+        assert found.standard_error[k] < 1e-4 * expected
+        assert abs(found.mean[k] - expected) < 4 * found.standard_error[k] + 1e-4 * expected
     assert not found.switches.any()
 
 
@@ -122,6 +126,8 @@ def test_comparison_states_gains_and_theory(comparison):
     agent, skyhook, best = (comparison.row(name, point) for name in ("agent", "skyhook", "analytic_optimum"))
     assert agent.cost == skyhook.cost  # the agent here is skyhook, and the roads are the same
     assert agent.gain.value == pytest.approx(1 - agent.cost / best.cost)
+    assert agent.standard_error < 0.5 * agent.driven_standard_error
+    assert abs(agent.cost - agent.driven_cost) < 5 * agent.driven_standard_error
     assert best.gain == Share(0, 0, 0)
     assert agent.theory is None
     assert best.theory == pytest.approx(theoretical_cost(TASK, best.damping, point.speed, point.bandwidth))
@@ -129,6 +135,7 @@ def test_comparison_states_gains_and_theory(comparison):
     text = table(comparison)
     assert max(len(line) for line in text.splitlines() if "|" in line or "±" in line) < 128
     assert "one training seed" in text
+    assert "Constant dampings on the same roads, whose costs theory knows, serve as control variates: D = 0." in text
     content = json.loads(comparison.to_json())
     assert len(content["rows"]) == 4 * 5
     assert content["environment"]["road"] == "multiplicative"
@@ -215,6 +222,7 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
     assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 0
     first = capsys.readouterr().out
     assert re.search(r"1\.5 +0\.1 ", first)
+    assert "agent learned from the cost, without theory's one-step lookahead" in first
     written = ["comparison.html", "comparison.json", "comparison.csv", "comparison.txt", "cost_over_speed.png", "policy.png"]
     assert {*written, "agent-0"} == {path.name for path in output.iterdir()}
     # the same command again finds its agent trained, and says the same
@@ -223,9 +231,13 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
     assert run("compare", "--agent", output / "agent-0", "--output", tmp_path / "again", "--json", *compared) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["controller"] == "agent"
     assert run("evaluate", "--agent", output / "agent-0", *options) == 0
-    assert "switches" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "switches" in said
+    assert "Constant dampings on the same roads, whose costs theory knows, serve as control variates" in said
     assert run("evaluate", "--controller", "skyhook", "--json", *options) == 0
-    assert json.loads(capsys.readouterr().out)["rows"][0]["standard_error"] > 0
+    said = json.loads(capsys.readouterr().out)
+    assert 0 < said["rows"][0]["standard_error"] < said["rows"][0]["driven_standard_error"]
+    assert said["control_variates"]
     # more seeds train beside the first one
     assert run("compare", "--output", output, "--seeds", 2, "--hyperparameters", hyperparameters, *compared) == 0
     assert "mean of 2 training seeds" in capsys.readouterr().out
@@ -286,8 +298,14 @@ def test_help_is_quick_and_has_an_example():
 def driven(*costs, episodes=32):
     """An evaluation at one point, of these costs with a little noise that all have in common."""
     noise = np.random.default_rng(1).normal(0, 0.05, (1, episodes))
-    point = OperatingPoint(1.5, 0.1)
-    return [Evaluation((point,), cost * (1 + noise), np.zeros((5, 1, episodes)), np.zeros(1)) for cost in costs]
+    return [evaluation(cost * (1 + noise)) for cost in costs]
+
+
+def evaluation(costs):
+    """An evaluation of these costs, shape (points, episodes), without control variates."""
+    points = tuple(OperatingPoint(1.0 + k, 0.1) for k in range(len(costs)))
+    squares = np.zeros((5, *costs.shape))
+    return Evaluation(points, costs, squares, np.zeros(len(costs)), costs, squares)
 
 
 def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
@@ -307,6 +325,44 @@ def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
     assert "n/a" in text
 
 
+def test_mean_gap_counts_every_point_that_has_one_and_tells_of_the_others():
+    best, noise = np.ones((4, 1)), np.random.default_rng(2).normal(0, 0.01, (4, 64))
+    rivals = {"analytic_optimum": evaluation(best + 0 * noise)}
+    # feedback saves a half at two points and next to nothing at the other two
+    rivals["optimal_feedback"] = evaluation(np.array([[0.5], [0.5], [0.99], [0.99]]) + 0 * noise)
+    agents_costs = np.array([[0.6], [1.2], [1.05], [1.15]]) + noise - noise.mean(axis=1, keepdims=True)
+    rows, references = make_rows(TASK, {"agent": [evaluation(agents_costs)]}, rivals)
+    gap = mean_gap([evaluation(agents_costs)], rivals, references)
+    assert gap.closed.value == pytest.approx((0.8 - 0.4) / 2)  # worse than a constant damping at one of them
+    assert [point.speed for point in gap.points] == [1.0, 2.0]
+    assert [point.speed for point in gap.left_out] == [3.0, 4.0]
+    assert gap.loss.value == pytest.approx(0.10)
+    assert (gap.largest_loss.value, gap.largest_at.speed) == (pytest.approx(0.15), 4.0)
+    # the roads of two points are independent
+    errors = agents_costs[:2].std(axis=1, ddof=1) / 8 / 0.5
+    assert gap.closed.high - gap.closed.value == pytest.approx(1.9983 * np.hypot(*errors) / 2, rel=1e-3)
+    found = Comparison(rows, TASK, {"agent": [None]}, references, {}, {"agent": gap})
+    said = mean_gap_closed(found, "agent")
+    assert said.startswith("agent closes 20.0 ±")
+    assert "on average over the 2 of 4 operating points that have one" in said
+    assert re.search(r"\(2 of 4 points\), its cost is 10.0 ±[0-9.]+% above that of the best constant D on average, ", said)
+    assert re.search(r", 15.0 ±[0-9.]+% above at worst \(nu = 4, delta = 0.1\)", said)
+    better = mean_gap([evaluation(0.9 * rivals["optimal_feedback"].costs)], rivals, references)
+    assert "10.9 ±0.0% below" in mean_gap_closed(dataclasses.replace(found, mean_gaps={"agent": better}), "agent")
+    assert said in table(found)
+    assert json.loads(found.to_json())["mean_gap_closed"]["agent"]["closed"]["value"] == gap.closed.value
+
+
+def test_mean_gap_of_several_seeds_holds_the_spread_of_their_means():
+    rivals = {"analytic_optimum": evaluation(np.ones((2, 32))), "optimal_feedback": evaluation(np.full((2, 32), 0.2))}
+    seeds = [evaluation(np.array([[a], [b]]) + np.zeros(32)) for a, b in ((0.3, 0.5), (0.4, 0.4), (0.6, 0.4))]
+    gap = mean_gap(seeds, rivals, ("optimal_feedback",) * 2)
+    # what a seed loses at one point and gains at the other does not count
+    spread = np.std([0.75, 0.75, 0.625], ddof=1)
+    assert gap.closed.value == pytest.approx(2.125 / 3)
+    assert gap.closed.high - gap.closed.value == pytest.approx(4.3027 * spread / np.sqrt(3), rel=1e-3)
+
+
 def test_best_known_feedback_without_the_optimal_one_is_the_best_classical():
     rivals = {"analytic_optimum": driven(1.0)[0], "skyhook": driven(0.6)[0], "add": driven(0.5)[0], "d_min": driven(0.1)[0]}
     rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
@@ -324,12 +380,13 @@ def test_interval_holds_the_spread_of_training_seeds():
 
 
 @pytest.mark.statistical
-def test_interval_of_a_ratio_covers_the_truth():
+@pytest.mark.parametrize("points", [1, 5])
+def test_interval_of_a_ratio_covers_the_truth(points):
     generator = np.random.default_rng(7)
     covered = 0
     for _ in range(400):
-        road = generator.normal(1, 0.2, 64)
-        share = ratio((0.3 * road + generator.normal(0, 0.1, 64))[None], road)
+        road = generator.normal(1, 0.2, (points, 64))
+        share = ratio((0.3 * road + generator.normal(0, 0.1, (points, 64)))[:, None], road)
         covered += share.low < 0.3 < share.high
     # 95 % of 400, within four standard errors of 1.1 %
     assert abs(covered / 400 - 0.95) < 4 * 0.011

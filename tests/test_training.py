@@ -298,6 +298,9 @@ def test_hyperparameter_files(tmp_path, monkeypatch):
     assert load_hyperparameters("ppo")["policy"] == "MlpPolicy"
     monkeypatch.chdir(tmp_path)  # a name is that of a shipped file wherever it is said
     assert load_hyperparameters("ppo", "ppo_scheduling") != load_hyperparameters("ppo")
+    # the plain agent differs from the default one in what theory gives it, and in nothing else
+    plain = {"training_reward": "cost", "features": ["signals", "products"]}
+    assert load_hyperparameters("ppo", "ppo_plain") == load_hyperparameters("ppo") | plain
     with pytest.raises(ParameterError, match=r"cannot read hyperparameters from 'no.yaml': .* by name there are: a2c, "):
         load_hyperparameters("ppo", "no.yaml")
     with pytest.raises(ParameterError, match="unknown algorithm 'dreamer'; known: ppo, sac, td3, "):

@@ -119,13 +119,18 @@ def certificate_table() -> str:
 
 
 def errata_table() -> str:
-    """Every slip with the numbers of both formulas, and how many standard errors each is off the simulation."""
-    rows = [("erratum", "quantity", "printed", "right", "simulated", "printed off", "right off")]
-    for check in errata.run():
-        simulated = f"{check.simulated.value:.5g} ± {check.simulated.standard_error:.1g}"
-        off = (f"{check.simulated.distance(value):.1f}" for value in (check.printed, check.right))
-        rows.append((f"`{check.name}`", check.quantity, f"{check.printed:.4g}", f"{check.right:.4g}", simulated, *off))
-    return markdown(rows)
+    """Every entry with the numbers of both formulas and of the evidence, a table for each kind."""
+    checks = errata.run()
+    tables = []
+    for kind, heading in errata.KINDS.items():
+        rows = [("erratum", "quantity", "printed", "right", "evidence", "printed off", "right off")]
+        for check in checks:
+            if check.kind == kind:
+                off = (check.off(value) for value in (check.printed, check.right))
+                formulas = (f"{check.printed:.4g}", f"{check.right:.4g}")
+                rows.append((f"`{check.name}`", check.quantity, *formulas, check.found_text(), *off))
+        tables.append(f"### {heading}, in numbers\n\n{markdown(rows)}")
+    return "\n".join(tables)
 
 
 def markdown(rows: list[tuple[str, ...]]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..compiled import LaneFunction
+from ..linear import ShapingFilter
 from ..parameters import ParameterError, check_ratio, within
 
 Self = TypeVar("Self", bound="Road")
@@ -66,6 +67,14 @@ class Road(abc.ABC):
     def table(self) -> npt.NDArray[np.float64]:
         """Constants for the lane functions, the same for every lane."""
         return np.zeros(1)
+
+    def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter | None:
+        """The road as a linear filter, see `roadgym.linear`; None where it is none.
+
+        Args:
+            bandwidth: in place of the road's own, at the same variance, any shape; on roads that have one.
+        """
+        return None
 
     def with_bandwidth(self: Self, bandwidth: float) -> Self:
         """The same road with another bandwidth and the same variance; raises `ParameterError` on roads without one."""

@@ -11,8 +11,10 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..compiled import COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, like
+from ..linear import ShapingFilter
 from ..noise import normal_pair
 from .base import Road, check_fields, check_variance
 
@@ -88,3 +90,13 @@ class FirstOrderRoad(Road):
     def variance(self) -> float:
         """E Z^2 = sigma^2 / (2 Omega), m^2; (5)."""
         return self.noise_intensity**2 / (2 * self.wavenumber)
+
+    def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter:
+        """Equation (4)."""
+        return ShapingFilter(
+            states=("level",),
+            drift=np.array([[-1.0]]),
+            noise=np.array([[math.sqrt(2.0)]]),
+            level=np.array([1.0]),
+            covariance=np.eye(1),
+        )

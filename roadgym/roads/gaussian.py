@@ -14,8 +14,10 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
+from ..linear import ShapingFilter
 from ..noise import normal_pair
 from ..parameters import within
 from .base import Road, check_fields, check_variance
@@ -35,6 +37,22 @@ def oscillator(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
         cosine, sine = 1.0 - square / 2.0, angle * (1.0 - square / 6.0)
     decay = math.exp(-bandwidth * angle)
     return decay * (cosine + bandwidth * sine), decay * sine, decay * (cosine - bandwidth * sine)
+
+
+def second_order_filter(bandwidth: npt.ArrayLike, flatness: float | None = 0.0) -> ShapingFilter:
+    """Equations (7), (8) for unit variance, where the intensity of the noise is on average 4 delta."""
+    delta = np.asarray(bandwidth, float)
+    drift, noise = np.zeros((*delta.shape, 2, 2)), np.zeros((*delta.shape, 2, 1))
+    drift[..., 0, 1], drift[..., 1, 0], drift[..., 1, 1] = 1.0, -1.0, -2 * delta
+    noise[..., 1, 0] = np.sqrt(4 * delta)
+    return ShapingFilter(
+        states=("level", "slope"),
+        drift=drift,
+        noise=noise,
+        level=np.array([1.0, 0.0]),
+        covariance=np.eye(2),
+        flatness=flatness,
+    )
 
 
 A, B, D = COEFFICIENT, COEFFICIENT + LANES, COEFFICIENT + 2 * LANES
@@ -99,6 +117,10 @@ class GaussianRoad(Road):
     def variance(self) -> float:
         """E Z^2 = E U^2 = sigma^2 / (4 delta Omega), m^2; (9)-(12) at V = 1."""
         return self.noise_intensity**2 / (4 * self.bandwidth * self.wavenumber)
+
+    def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter:
+        """Equations (7), (8) with V = 1."""
+        return second_order_filter(self.bandwidth if bandwidth is None else bandwidth)
 
     def with_bandwidth(self, bandwidth: float) -> GaussianRoad:
         """The same road with another bandwidth and the same variance."""

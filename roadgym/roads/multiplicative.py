@@ -42,10 +42,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, compiled, like
+from ..linear import ShapingFilter
 from ..noise import normal_pair, philox, uniform
 from ..parameters import ParameterError, check_ratio, within
 from .base import Road, check_fields
-from .gaussian import oscillator
+from .gaussian import oscillator, second_order_filter
 
 # the cosine g of a kick and its sine, for each of its two values; a small shape has the first pair alone: mean of g, and eta
 FAR_KEEP, FAR_KICK = COEFFICIENT, COEFFICIENT + LANES
@@ -434,6 +435,12 @@ class MultiplicativeRoad(Road):
         curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
         constants = [square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape, far_chance(self.shape)]
         return np.concatenate([constants, curve, np.diff(curve)])
+
+    def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter:
+        """Equations (7), (8); on an ellipse the second moments alone are known, over the variance that there is."""
+        return second_order_filter(
+            self.bandwidth if bandwidth is None else bandwidth, 1 / self.shape if self.is_circle else None
+        )
 
     def with_bandwidth(self, bandwidth: float) -> MultiplicativeRoad:
         """The same road with another bandwidth, and the same shape and variance; circles only."""

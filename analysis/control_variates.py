@@ -1,0 +1,111 @@
+"""Control variates: constant dampings over the same roads, whose mean squares theory knows exactly.
+
+What an episode costs depends on its road's luck, and what a constant damping costs on the same road tells most of that luck.
+With x_i the costs of a few constant dampings in episode i less their exact means, and c_i the cost of a controller, the mean of
+
+    c_i - b_i . x_i
+
+has the same expectation as that of c_i and a far smaller error, if b_i are the coefficients of the regression of c on x (P.
+Glasserman, Monte Carlo Methods in Financial Engineering, 2003, section 4.1). Coefficients from the same episodes would bias the
+mean to first order in 1/episodes. Here b_i is found without episode i, so b_i and x_i are independent and the mean is unbiased,
+whatever the law of the costs. The values so adjusted are uncorrelated to first order in 1/episodes, and scatter by what the
+errors of b_i add: their standard error is that of a mean.
+
+What the exact means must be worth:
+
+- *Start.* After SETTLED/(D natural_frequency) a start at rest has left less than 1e-5 of any mean square over 100/w1 or more,
+  on every road; weaker dampings do not serve.
+- *Scheme.* The plant's own mean squares are within 1e-4 of theory for constant D <= 1; stronger dampings do not serve. Dampings
+  that say nearly the same could have large coefficients of either sign, which would blow that bias up; so the regression has a
+  penalty that weighs b_i times the bias against the noise, and leaves alone what has no more noise than bias. The adjusted mean
+  is good to about 1e-4, however small its standard error is.
+- *Theory.* Only mean squares in closed form serve: none under noise on the speed of a random road, and none on an ellipse,
+  whose variance, the unit of all costs, is itself simulated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from roadgym.car import MEAN_SQUARES
+from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad
+from roadgym.task import Task
+
+from .checks import FloatArray
+from .response import mean_squares, needs_simulation
+
+MOST = 4  # control variates at once; more take out nothing more
+SAMPLES_EACH = 8  # episodes for each: the error of the coefficients then adds a fifth at most to the variance left
+SETTLED = 12.0  # amplitudes that a start leaves have fallen by exp(-12)
+HIGHEST = 1.0  # largest damping ratio for which the scheme's bias is below 1e-4
+BIAS = 1e-4  # relative, of the scheme
+
+
+def least_transient(task: Task) -> float:
+    """Time from a start at rest, s, after which at least the upper third of the damping range serves; 0 where nothing would."""
+    low, high = task.damping_range
+    return 1.5 * SETTLED / (min(high, HIGHEST) * task.car.natural_frequency) if low < HIGHEST else 0.0
+
+
+def control_dampings(task: Task, transient: float, samples: int) -> tuple[float, ...]:
+    """Constant damping ratios that serve as control variates for ``samples`` episodes, each measured after ``transient`` s.
+
+    They lie inside the range, not at its ends: where the best constant damping is an end, it is not its own control variate,
+    and theory still checks what is driven. Empty where none serves; see the module's docstring.
+    """
+    known = isinstance(task.road, (HarmonicRoad, FirstOrderRoad, GaussianRoad, MultiplicativeRoad))
+    on_ellipse = isinstance(task.road, MultiplicativeRoad) and not task.road.is_circle
+    low, high = task.damping_range
+    high = min(high, HIGHEST)
+    if not known or on_ellipse or needs_simulation(task.road, task.speed_noise) or transient * high <= 0:
+        return ()
+    low = max(low, SETTLED / (transient * task.car.natural_frequency))
+    if low >= high:
+        return ()
+    count = max(min(MOST, samples // SAMPLES_EACH), 1)
+    single = np.geomspace(low, high, 2 * count + 1)[1::2].astype(np.float32)  # as the plant takes them
+    return tuple(single.astype(float).tolist())
+
+
+def expected_squares(task: Task, dampings: tuple[float, ...], speed: float, bandwidth: float = 0.0) -> FloatArray:
+    """Exact mean squares over E Z^2 at constant dampings, shape (5, dampings), in the order of `roadgym.MEAN_SQUARES`.
+
+    Args:
+        task: the plant.
+        dampings: damping ratios, 1.
+        speed, bandwidth: the operating point, m/s and 1; bandwidth 0 on a road without one.
+    """
+    found = mean_squares(
+        task.road,
+        task.speed_noise,
+        damping=np.array(dampings),
+        speed=speed,
+        natural_frequency=task.car.natural_frequency,
+        bandwidth=bandwidth or None,
+    )
+    return np.array([getattr(found, name) for name in MEAN_SQUARES]) / task.road.variance
+
+
+def adjust(samples: FloatArray, controls: FloatArray, means: FloatArray) -> FloatArray:
+    """``samples``, shape (n,), less what ``controls``, shape (k, n), with the exact ``means``, shape (k,), tell of their luck.
+
+    The mean of the result estimates the mean of the samples without bias; see the module's docstring.
+    """
+    count, number = len(samples), len(means)
+    deviations = controls - means[:, None]
+    # least squares of the samples, with rows beneath that ask for small coefficients
+    design = np.zeros((count + number, 1 + number))
+    design[:count, 0], design[:count, 1:] = 1, deviations.T
+    design[count:, 1:] = np.diag(count * BIAS * means)
+    scale = np.linalg.norm(design, axis=0)
+    q, r = np.linalg.qr(design / scale)
+    deviations = deviations / scale[1:, None]
+    q = q[:count]
+    projected = samples @ q
+    # taking sample i out changes the coefficients by (X'X)^-1 x_i times its residual over 1 - leverage
+    residual = (samples - q @ projected) / (1 - (q * q).sum(axis=1))
+    slopes = solve_triangular(r, projected)[1:]
+    change = solve_triangular(r, q.T)[1:]
+    adjusted: FloatArray = samples - slopes @ deviations + residual * (change * deviations).sum(axis=0)
+    return adjusted

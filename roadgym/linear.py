@@ -1,0 +1,283 @@
+"""What is linear of a plant: road and car as matrices, and what follows for every road and every car at once.
+
+Between two settings of D the plant is linear. A road that is a linear filter of white noise over its angle theta declares a
+`ShapingFilter`, a car its `Motion`; `LinearSystem.of` stacks them into x = (car, road), in units of the road's standard
+deviation and of time 1/w1:
+
+    road   dr = F r dtheta + G dB(theta),   Z = c r,   dtheta = nu dt
+    car    dq/dt = A q + b Z + e dZ/dt - f F_D,   F_D = 2 D (relative velocity)
+    both   dx = drift x dt + noise dB(t)
+
+Where c G is not zero, the rate of the level contains white noise: signals that it enters have no mean square, and are *rough*.
+
+The bounded road has a noise whose intensity depends on its state, 1 + flatness (1 - r' P^-1 r/n) of that of its linear twin,
+with the stationary covariance P and n states, on average 1. So it has the same second moments as its twin, and its generator
+maps quadratic forms to quadratic forms (`form_rate`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from .parameters import ParameterError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ShapingFilter:
+    """A road of unit variance as a linear filter over its angle, wavenumber * distance.
+
+    Args:
+        states: names of the states r.
+        drift: F, shape (..., n, n), with leading axes over bandwidths.
+        noise: G, shape (..., n, m); no columns where nothing is random but the start.
+        level: c, the row of the level Z, shape (n,).
+        covariance: P, the stationary covariance of r, shape (n, n).
+        flatness: how much the intensity of the noise gives way to the state, 1/alpha on the bounded road; None where its law
+            beyond the stationary second moments is not of this form.
+    """
+
+    states: tuple[str, ...]
+    drift: FloatArray
+    noise: FloatArray
+    level: FloatArray
+    covariance: FloatArray
+    flatness: float | None = 0.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """The equations of a car between two settings of its damper, in units of time 1/w1.
+
+    Args:
+        states: names of the states q.
+        drift: A, without the damper, shape (n, n).
+        level_entry, slope_entry, force_entry: b, e and f, shape (n,).
+        signals: each mean square's signal by name, as a row of q, and what of Z, of dZ/dt and of the damper's force is added to
+            it: (row of shape (n,), level, slope, force).
+        relative: name of the signal whose rate the damper resists, the relative velocity.
+    """
+
+    states: tuple[str, ...]
+    drift: FloatArray
+    level_entry: FloatArray
+    slope_entry: FloatArray
+    force_entry: FloatArray
+    signals: Mapping[str, tuple[FloatArray, float, float, float]]
+    relative: str = "relative_velocity"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class LinearSystem:
+    """Car and road at constant dampings, speeds and bandwidths; made by `of`. Leading axes (...) are those operating points.
+
+    Attributes:
+        states: names of the states x, those of the car first.
+        car_states: how many they are.
+        drift: shape (..., n, n).
+        noise: shape (..., n, m).
+        signals: rows of the signals by name, shape (..., n) each.
+        rough: names of the signals that contain white noise.
+        force_entry: f, and force of each signal, for a force in place of the damper's; shape (n,) and numbers.
+        road_covariance: P of `ShapingFilter`.
+        flatness: of `ShapingFilter`.
+    """
+
+    states: tuple[str, ...]
+    car_states: int
+    drift: FloatArray
+    noise: FloatArray
+    signals: Mapping[str, FloatArray]
+    rough: frozenset[str]
+    force_entry: FloatArray
+    force: Mapping[str, float]
+    road_covariance: FloatArray
+    flatness: float | None
+
+    @classmethod
+    def of(cls, road: ShapingFilter, car: Motion, *, damping: npt.ArrayLike, ratio: npt.ArrayLike) -> LinearSystem:
+        """Stack road and car.
+
+        Args:
+            road: the road, its leading axes broadcasting with the others.
+            car: the car.
+            damping: D, any shape.
+            ratio: nu = speed * wavenumber / w1, any shape.
+        """
+        twice, nu = np.broadcast_arrays(2 * np.asarray(damping, float), np.asarray(ratio, float))
+        shape = np.broadcast_shapes(twice.shape, road.drift.shape[:-2])
+        twice, nu = (np.broadcast_to(value, shape)[..., None] for value in (twice, nu))  # rows
+        cars, roads = len(car.states), len(road.states)
+
+        slope = nu * (road.level @ road.drift)
+        roughness = road.level @ road.noise  # of the slope, in units of the root of nu
+
+        def row(name: str) -> FloatArray:
+            own, level, rate, _ = car.signals[name]
+            return np.concatenate([np.broadcast_to(own, (*shape, cars)), level * road.level + rate * slope], axis=-1)
+
+        relative = row(car.relative)
+        drift = np.zeros((*shape, cars + roads, cars + roads))
+        drift[..., :cars, :cars] = car.drift
+        drift[..., :cars, cars:] = car.level_entry[:, None] * road.level + car.slope_entry[:, None] * slope[..., None, :]
+        drift[..., cars:, cars:] = nu[..., None] * road.drift
+        drift[..., :cars, :] -= twice[..., None] * car.force_entry[:, None] * relative[..., None, :]
+        relative_rate = car.signals[car.relative][2]
+        entry = car.slope_entry - twice * relative_rate * car.force_entry
+        noise = np.zeros((*shape, cars + roads, road.noise.shape[-1]))
+        noise[..., :cars, :] = entry[..., None] * roughness[..., None, :]
+        noise[..., cars:, :] = road.noise
+        signals = {name: row(name) + twice * force * relative for name, (_, _, _, force) in car.signals.items()}
+        rough = {
+            name
+            for name, (_, _, rate, force) in car.signals.items()
+            if np.any(roughness) and np.any(rate + twice * force * relative_rate)
+        }
+        return cls(
+            states=car.states + road.states,
+            car_states=cars,
+            drift=drift,
+            noise=noise * np.sqrt(nu)[..., None],
+            signals=signals,
+            rough=frozenset(rough),
+            force_entry=np.append(car.force_entry, np.zeros(roads)),
+            force={name: force for name, (_, _, _, force) in car.signals.items()},
+            road_covariance=road.covariance,
+            flatness=road.flatness,
+        )
+
+    def covariance(self) -> FloatArray:
+        """Stationary covariance of x, shape (..., n, n).
+
+        The road's is known; that of car and road solves Sylvester's, and the car's own Lyapunov's equation.
+        """
+        cars, size = self.car_states, len(self.states)
+        car, cross, road = self.drift[..., :cars, :cars], self.drift[..., :cars, cars:], self.drift[..., cars:, cars:]
+        own, roads = self.noise[..., :cars, :], self.noise[..., cars:, :]
+        mixed = _sylvester(car, road, -cross @ self.road_covariance - own @ _transposed(roads))
+        driven = cross @ _transposed(mixed)
+        result = np.empty((*self.drift.shape[:-2], size, size))
+        result[..., :cars, :cars] = _sylvester(car, car, -driven - _transposed(driven) - own @ _transposed(own))
+        result[..., :cars, cars:], result[..., cars:, :cars] = mixed, _transposed(mixed)
+        result[..., cars:, cars:] = self.road_covariance
+        return result
+
+    def mean_squares(self) -> dict[str, FloatArray]:
+        """Stationary mean squares of the signals by name, shape (...); infinite where they are rough."""
+        covariance = self.covariance()
+        found = {}
+        for name, row in self.signals.items():
+            found[name] = np.einsum("...i,...ij,...j->...", row, covariance, row)
+            if name in self.rough:  # at rest even white noise is none
+                found[name] = np.where(np.any(self.noise, axis=(-2, -1)), np.inf, found[name])
+        return found
+
+    def transition(self, time: float) -> FloatArray:
+        """exp(drift * time), shape (..., n, n); ``time`` in units of 1/w1."""
+        from scipy.linalg import expm
+
+        return np.asarray(expm(self.drift * time))
+
+    def step_covariance(self, time: float) -> FloatArray:
+        """Mean over the stationary law of the covariance of x after ``time``, given where it began; shape (..., n, n)."""
+        covariance, transition = self.covariance(), self.transition(time)
+        return covariance - transition @ covariance @ _transposed(transition)
+
+    def autocovariance(self, name: str, time: npt.ArrayLike) -> FloatArray:
+        """E s(0) s(t) of the signal ``name`` at the lags ``time`` >= 0, in units of 1/w1, shape (..., times)."""
+        self._smooth(name)
+        row, memory = self.signals[name], self.covariance() @ self.signals[name][..., None]
+        lags = np.atleast_1d(np.asarray(time, float))
+        return np.stack([(row[..., None, :] @ self.transition(lag) @ memory)[..., 0, 0] for lag in lags.tolist()], axis=-1)
+
+    def spectrum(self, name: str, frequency: npt.ArrayLike) -> FloatArray:
+        """Two-sided spectral density of the signal ``name`` at angular frequencies over w1, shape (..., frequencies).
+
+        Its integral over all frequencies, divided by 2 pi, is the mean square.
+
+        Raises:
+            ParameterError: a rough signal, or a road without noise, whose spectrum is a set of lines.
+        """
+        self._smooth(name)
+        if not self.noise.any():
+            raise ParameterError(f"the spectrum of {name} is a set of lines: the road has no noise")
+        identity = np.eye(len(self.states))
+        found = []
+        for w in np.atleast_1d(np.asarray(frequency, float)).tolist():
+            gain = self.signals[name][..., None, :] @ np.linalg.solve(
+                1j * w * identity - self.drift, self.noise.astype(complex)
+            )
+            found.append(np.sum(np.abs(gain) ** 2, axis=(-2, -1)))
+        return np.stack(found, axis=-1)
+
+    def _smooth(self, name: str) -> None:
+        if name not in self.signals:
+            raise ParameterError(f"unknown signal {name!r}; known: {', '.join(self.signals)}")
+        if name in self.rough:
+            raise ParameterError(f"the signal {name!r} contains white noise on this road: its mean square is infinite")
+
+    def cost_form(self, weights: Mapping[str, float]) -> FloatArray:
+        """The weighted squares as a quadratic form of x, shape (..., n, n).
+
+        Raises:
+            ParameterError: a weight on a rough signal, or an unknown one.
+        """
+        total = np.zeros(self.drift.shape)
+        for name, weight in weights.items():
+            if weight:
+                self._smooth(name)
+                total += weight * self.signals[name][..., :, None] * self.signals[name][..., None, :]
+        return total
+
+    def form_rate(self, form: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(quadratic form, constant) that d/dt E x' form x is, a quadratic form of x itself; shapes (..., n, n) and (...).
+
+        Raises:
+            ParameterError: a road whose law is not of the form above.
+        """
+        if self.flatness is None:
+            raise ParameterError("the conditional moments of this road are not known in closed form")
+        gain = np.einsum("...ij,...ij->...", self._intensity, form)
+        moved = form @ self.drift + _transposed(self.drift) @ form
+        return moved - (self.flatness * gain)[..., None, None] * self._excess, (1 + self.flatness) * gain
+
+    @functools.cached_property
+    def _intensity(self) -> FloatArray:
+        """noise noise', the intensity of the linear twin's noise."""
+        return self.noise @ _transposed(self.noise)
+
+    @functools.cached_property
+    def _excess(self) -> FloatArray:
+        """r' P^-1 r/n as a form of x."""
+        form, cars = np.zeros(self.drift.shape[-2:]), self.car_states
+        form[cars:, cars:] = np.linalg.inv(self.road_covariance) / len(self.road_covariance)
+        return form
+
+    def form_generator(self) -> FloatArray:
+        """`form_rate` as a matrix on (the n^2 entries of the form row by row, a constant), shape (..., n^2 + 1, n^2 + 1)."""
+        size = len(self.states)
+        basis = np.eye(size * size).reshape(size * size, *[1] * (self.drift.ndim - 2), size, size)
+        forms, constants = self.form_rate(basis)
+        matrix = np.zeros((*self.drift.shape[:-2], size * size + 1, size * size + 1))
+        matrix[..., :-1, :-1] = np.moveaxis(forms.reshape(*forms.shape[:-2], size * size), 0, -1)
+        matrix[..., -1, :-1] = np.moveaxis(constants, 0, -1)
+        return matrix
+
+
+def _transposed(matrices: FloatArray) -> FloatArray:
+    return np.swapaxes(matrices, -1, -2)
+
+
+def _sylvester(left: FloatArray, right: FloatArray, target: FloatArray) -> FloatArray:
+    """X with left X + X right' = target, for stacks of small matrices."""
+    rows, columns = left.shape[-1], right.shape[-1]
+    whole = np.einsum("...ik,jl->...ijkl", left, np.eye(columns)) + np.einsum("ik,...jl->...ijkl", np.eye(rows), right)
+    matrix = whole.reshape(*whole.shape[:-4], rows * columns, rows * columns)
+    flat = np.broadcast_to(target, (*whole.shape[:-4], rows, columns)).reshape(*whole.shape[:-4], rows * columns, 1)
+    return np.linalg.solve(matrix, flat).reshape(*whole.shape[:-4], rows, columns)
