@@ -24,7 +24,7 @@ LARGEST_ANGLE = 0.1  # largest angle, rad, of the car and of the road in a subst
 LARGEST_TURN_VARIANCE = 0.1  # largest variance, rad^2, of the random part of the harmonic road's angle in a substep
 LARGEST_DECAY = 0.2  # largest product of damping ratio and angle of the car in a substep
 BROAD = 3.0  # bandwidth beyond which a substep must resolve more than the road's angle
-SINGLE_DECAY = 8e-4  # least share of a slow motion that decays in a substep, for single precision to keep 1e-4 of it
+SINGLE_DECAY = 6e-4  # least share of a slow motion that decays in a substep, for single precision to keep 1e-4 of it
 SINGLE_SUBSTEP = 0.004  # shortest substep, 1/w1, in which single precision does that with the velocity
 SINGLE_HARMONIC_ANGLE = 0.05  # least angle of the harmonic road in a substep for that: slower, the travel is lost in rounding
 OPERATING_POINT = ("speed", "bandwidth")
@@ -128,8 +128,10 @@ def check_component(component: Road | SpeedNoise | None) -> None:
 def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, speed: float, bandwidth: float = 0.0) -> float:
     """Angular rate, rad/s, whose product with a substep must be at most `LARGEST_ANGLE`.
 
-    The largest of those of the car, of the road at ``speed``, and of the noise on the speed. A road of large ``bandwidth`` has
-    a fast motion beside its angle: from `BROAD` on, (bandwidth/BROAD)^(2/3) times its rate keeps the scheme's 1e-4.
+    The largest of those of the car, of the road at ``speed``, and of the noise on the speed. At constant speed and damping it
+    keeps the scheme's bias below 1e-4 of each mean square for bandwidths up to 2. A road of large ``bandwidth`` has a fast
+    motion beside its angle: from `BROAD` on, (bandwidth/BROAD)^(2/3) times its rate keeps it below 3e-4 up to a bandwidth of
+    10, and below 1.3e-3 up to 100.
 
     On the harmonic road the variance of the random turn in a substep h, at most sigma^2 h, and less where a filter makes it
     sigma^2 w_g h^2/2 (low-pass) or sigma^2/w_g (high-pass), is kept to `LARGEST_TURN_VARIANCE`, and w_g h to 1. Then for

@@ -73,7 +73,7 @@ def test_switches_are_counted():
             return 1.0 if self.firm else 0.05
 
     found = evaluate(
-        {"switching": EverySecondStep(TASK, 0.0)},
+        {"switching": EverySecondStep(TASK, 0.05)},
         environment=ENVIRONMENT,
         speeds=[1.5],
         bandwidths=[0.1],
