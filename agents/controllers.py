@@ -23,7 +23,7 @@ import numpy.typing as npt
 import analysis
 from analysis.quadratic import plant_system, regulator_gain
 from roadgym.cache import user_folder
-from roadgym.parameters import ParameterError, number_array, shown, single_precision, within
+from roadgym.parameters import ParameterError, number, number_array, shown, single_precision
 from roadgym.roads import Road
 from roadgym.task import OPERATING_POINT, Task
 
@@ -110,7 +110,7 @@ class ConstantDamping(Controller):
 
     def __init__(self, task: Task, damping: float) -> None:
         super().__init__(task)
-        self.constant = within("damping", damping)
+        self.constant = number("damping", damping)  # it saturates at the range
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """The constant."""
