@@ -1,15 +1,18 @@
 """The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``drive``, ``certify``, ``benchmark``, ``figures``,
-``explore`` and ``errata``.
+``explore``, ``errata`` and ``cache``.
 
-Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument, an unusable file or a missing package (one line says
-which), 130 interrupted.
+Exit codes: 0 success, 1 a plant that is not certified, 2 a wrong argument, a file that cannot be read or written, or a missing
+package (one line says which), 130 interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import io
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,13 +26,16 @@ from .errors import AgentError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # letters that it does not have, and names that are no text
     parser = make_parser()
     chosen = parser.parse_args(arguments)
     try:
         code: int | None = chosen.run(chosen)
+        print(end="", flush=True)
     except (ParameterError, AgentError) as error:
-        print(f"roadgym {chosen.command}: {error}", file=sys.stderr)
-        return 2
+        return _fault(chosen.command, str(error))
     except KeyboardInterrupt:
         remedies = {
             "train": "; --resume goes on from the last checkpoint",
@@ -40,8 +46,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"roadgym {chosen.command}: interrupted{remedy}", file=sys.stderr)
         return 130
     except BrokenPipeError:
+        _finish_output()
         return 0
+    except OSError as error:  # such as a full disk
+        where = "" if error.filename is None else f"cannot use {str(error.filename)!r}: "
+        _finish_output()
+        return _fault(chosen.command, f"{where}{error.strerror or error}")
     return code or 0
+
+
+def _fault(command: str, message: str) -> int:
+    """Say in one line what is wrong; returns the exit code."""
+    print(f"roadgym {command}: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+def _finish_output() -> None:
+    """Write out what the standard output still holds, or let it be lost: Python would try at its end, and complain."""
+    try:
+        print(end="", flush=True)
+    except OSError:
+        with contextlib.suppress(OSError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123 - a device, not a path
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -49,14 +75,15 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="roadgym",
         description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
-        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, an unusable file or a missing "
-        "package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none with NO_COLOR.",
+        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, a file that cannot be read or "
+        "written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none "
+        "with NO_COLOR.",
     )
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     train = _command(commands, "train", run_train, "train an agent into a folder", "roadgym train --output runs/ppo --seed 1")
-    train.add_argument("--output", required=True, metavar="DIR", help="folder of the agent")
+    train.add_argument("--output", type=_path, required=True, metavar="DIR", help="folder of the agent")
     train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
     train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
     _add_training(train)
@@ -69,9 +96,9 @@ def make_parser() -> argparse.ArgumentParser:
         "search for hyperparameters; the same command goes on with a study that was interrupted",
         "roadgym tune --algorithm ppo --storage study.db --output best.yaml",
     )
-    tune.add_argument("--storage", required=True, metavar="FILE", help="SQLite file of the study")
+    tune.add_argument("--storage", type=_path, required=True, metavar="FILE", help="SQLite file of the study")
     tune.add_argument("--trials", type=int, default=20, help="trials in all, those in the file included (%(default)s)")
-    tune.add_argument("--output", metavar="FILE", help="write the best as YAML that train --hyperparameters takes")
+    tune.add_argument("--output", type=_path, metavar="FILE", help="write the best as YAML that train --hyperparameters takes")
     _add_training(tune)
     _add_environment(tune)
 
@@ -79,7 +106,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/ppo"
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=_path, metavar="DIR", help="folder of a trained agent")
     who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     _add_evaluation(evaluate)
@@ -92,9 +119,12 @@ def make_parser() -> argparse.ArgumentParser:
         "train an agent, then compare it with the analytic optimum and classical controllers over the same noise",
         "roadgym compare --output results",
     )
-    compare.add_argument("--output", default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)")
+    compare.add_argument(
+        "--output", type=_path, default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)"
+    )
     compare.add_argument(
         "--agent",
+        type=_path,
         nargs="+",
         metavar="DIR",
         help="folders of trained agents, instead of training; those that differ in the seed alone are one learned controller",
@@ -116,10 +146,10 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym drive --controller skyhook --road multiplicative",
     )
     who = drive.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=_path, metavar="DIR", help="folder of a trained agent")
     who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
     drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
-    drive.add_argument("--output", metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window")
+    drive.add_argument("--output", type=_path, metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window")
     drive.add_argument(
         "--seconds", type=float, metavar="S", help="of film, each of 60 control intervals (10; a window until it is closed)"
     )
@@ -154,12 +184,16 @@ def make_parser() -> argparse.ArgumentParser:
     benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
     benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
     benchmark.add_argument("--json", action="store_true", help="print JSON instead of the tables")
-    benchmark.add_argument("--output", metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it")
+    benchmark.add_argument(
+        "--output", type=_path, metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it"
+    )
 
     figures = _command(
         commands, "figures", run_figures, "draw figures 2 to 14 of the paper, with data", "roadgym figures --output figures"
     )
-    figures.add_argument("--output", required=True, metavar="DIR", help="folder of the pictures (PNG) and their data (CSV)")
+    figures.add_argument(
+        "--output", type=_path, required=True, metavar="DIR", help="folder of the pictures (PNG) and their data (CSV)"
+    )
     figures.add_argument("--only", type=int, nargs="+", metavar="N", help="figures to draw (2 to 14)")
     figures.add_argument("--full", action="store_true", help="simulate Fig. 7 with all the paper's samples (half a minute)")
 
@@ -170,7 +204,7 @@ def make_parser() -> argparse.ArgumentParser:
         "write one page of HTML that shows mean squares, optimum, amplitudes and road laws, live",
         "roadgym explore --output explorer.html",
     )
-    explore.add_argument("--output", required=True, metavar="FILE", help="the page")
+    explore.add_argument("--output", type=_path, required=True, metavar="FILE", help="the page")
     explore.add_argument("--road", default="multiplicative", help=f"{', '.join(ROADS)} (%(default)s)")
     explore.add_argument("--speed-noise", default="none", help=f"none, {', '.join(SPEED_NOISES)} (%(default)s)")
     explore.add_argument(
@@ -192,6 +226,15 @@ def make_parser() -> argparse.ArgumentParser:
     )
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+    cache = _command(
+        commands,
+        "cache",
+        run_cache,
+        "tell where compiled code and optimal feedbacks are kept, and how much",
+        "roadgym cache --clear",
+    )
+    cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")
     return parser
 
 
@@ -210,6 +253,7 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--hyperparameters",
+        type=_path,
         metavar="FILE",
         help="YAML file of hyperparameters, or the name of a shipped one: ppo_plain, ppo_stacked, ppo_scheduling "
         "(the algorithm's own)",
@@ -256,12 +300,18 @@ def _add_environment(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--natural-frequency", type=float, metavar="W1", help="natural frequency of the car, rad/s (1)")
 
 
+def _path(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("must not be empty")
+    return text
+
+
 def _component(text: str) -> Any:
     if not text.lstrip().startswith("{"):
         return text
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise argparse.ArgumentTypeError(f"not JSON: {error}") from None
 
 
@@ -355,9 +405,11 @@ def run_train(chosen: argparse.Namespace) -> None:
 def run_tune(chosen: argparse.Namespace) -> None:
     """``roadgym tune``."""
     from .progress import tuning_progress
-    from .training import load_hyperparameters
+    from .training import load_hyperparameters, make_output
     from .tuning import tune, write_best
 
+    if chosen.output:
+        make_output(chosen.output)  # before the work
     with tuning_progress() as report:
         best = tune(
             chosen.storage,
@@ -431,39 +483,45 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
 
 def run_compare(chosen: argparse.Namespace) -> None:
     """``roadgym compare``."""
+    from roadgym.files import remove_parts
     from roadgym.parameters import whole
 
     from .comparison import AGENT, compare, group_agents, table, write
     from .progress import work_progress
-    from .training import load, make_folder
+    from .training import LOCK, load, locked, make_folder
 
     if chosen.agent:
         _refuse_environment(chosen)
+        known: dict[Path, str] = {}
+        for name in chosen.agent:
+            other = known.setdefault(Path(name).resolve(), name)
+            if other is not name:
+                raise ParameterError(f"--agent has the same folder twice, {other!r} and {name!r}")
         learned, environment = group_agents({folder: load(folder) for folder in chosen.agent})
-        _check_evaluation(chosen, environment)
-        folder = make_folder(chosen.output)
     else:
-        environment = environment_from(chosen)
-        _check_evaluation(chosen, environment)
-        seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
-        folder = make_folder(chosen.output)
-        learned = {AGENT: []}
-        for seed in seeds:
+        learned, environment = {AGENT: []}, environment_from(chosen)
+        whole("seeds", chosen.seeds)
+    _check_evaluation(chosen, environment)
+    folder = make_folder(chosen.output)
+    with locked(folder / LOCK, "comparison"):
+        remove_parts(folder)
+        for seed in () if chosen.agent else range(chosen.seed, chosen.seed + chosen.seeds):
             place = folder / f"agent-{seed}"
             same = _same_agent(chosen, place, environment, seed)
             learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=same))
-    with work_progress() as report:
-        comparison = compare(
-            learned,
-            environment=environment,
-            episodes=chosen.episodes,
-            seed=chosen.seed,
-            report=report,
-            controllers=chosen.controllers,
-            **_grid(chosen),
-        )
-        files = write(comparison, folder, report)
-    print(comparison.to_json() if chosen.json else table(comparison))
+        with work_progress() as report:
+            comparison = compare(
+                learned,
+                environment=environment,
+                episodes=chosen.episodes,
+                seed=chosen.seed,
+                report=report,
+                controllers=chosen.controllers,
+                **_grid(chosen),
+            )
+        print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
+        with work_progress() as report:
+            files = write(comparison, folder, report)
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
 
@@ -527,10 +585,13 @@ def run_certify(chosen: argparse.Namespace) -> int:
 def run_benchmark(chosen: argparse.Namespace) -> None:
     """``roadgym benchmark``."""
     from .benchmark import CASES, draw_scaling, scaling, scaling_table, table
-    from .training import make_folder, versions, write_atomically
+    from .training import make_output, versions, write_atomically
 
     if chosen.output:
-        make_folder(Path(chosen.output).parent)  # before the work
+        path = make_output(chosen.output)  # before the work
+        picture = path.with_suffix(".png")
+        if chosen.scaling and make_output(picture) == path:
+            raise ParameterError(f"output must not end in .png, which the picture beside it does, got {chosen.output!r}")
     names = chosen.only or list(CASES)
     for name in names:
         if name not in CASES:
@@ -546,10 +607,9 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
     else:
         print("\n\n".join([table(results), *([scaling_table(rows)] if rows else [])]))
     if chosen.output:
-        path = Path(chosen.output)
         write_atomically(path, json.dumps(content, indent=2) + "\n")
         if rows:
-            draw_scaling(rows, path.with_suffix(".png"))
+            draw_scaling(rows, picture)
 
 
 def run_figures(chosen: argparse.Namespace) -> None:
@@ -581,6 +641,28 @@ def run_errata(chosen: argparse.Namespace) -> None:
     with work_progress() as report:
         checks = errata.run(chosen.only, report=report)
     print(json.dumps([dataclasses.asdict(check) for check in checks], indent=2) if chosen.json else errata.table(checks))
+
+
+def run_cache(chosen: argparse.Namespace) -> None:
+    """``roadgym cache``."""
+    from analysis.feedback import kept_files
+    from roadgym import cache
+
+    from .controllers import cache_folder
+
+    places = (
+        ("compiled code", cache.compiled_folder(), cache.compiled_files),
+        ("optimal feedbacks", cache_folder(), lambda: kept_files(cache_folder())),
+    )
+    print(f"{'':17}  {'files':>6}  {'MB':>8}  folder")
+    for what, folder, find in places:
+        sizes = [path.stat().st_size for path in find() if path.exists()]
+        print(f"{what:17}  {len(sizes):6}  {sum(sizes) / 1e6:8.2f}  {folder or 'nowhere: there is no home folder'}")
+    if chosen.clear:
+        cache.clear_compiled()
+        for path in kept_files(cache_folder()):
+            path.unlink(missing_ok=True)
+        print("cleared")
 
 
 def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any], seed: int) -> bool:

@@ -21,9 +21,10 @@ from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 
-from .controllers import Controller, OptimalFeedback, make_controller, optimum, theoretical_cost
+from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, optimum, theoretical_cost
 from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate
 from .features import has_lookahead
+from .names import csv_cell, name_folders
 from .training import Agent, make_folder, plain, versions, write_atomically
 
 RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook", "one_step_lookahead", "optimal_feedback")
@@ -146,7 +147,7 @@ class Comparison:
         text = io.StringIO()
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({name: csv_cell(value) for name, value in row.items()} for row in rows)
         return text.getvalue()
 
 
@@ -303,8 +304,8 @@ def observed_in_full(environment: Mapping[str, Any]) -> dict[str, Any]:
 def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], dict[str, Any]]:
     """(agents of several training seeds by name, their common environment observed in full), from agents by folder.
 
-    Those that differ in nothing but the seed are one learned controller, named by the first one's folder, or "agent" where
-    there is one only.
+    Those that differ in nothing but the seed are one learned controller, named by the first one's folder and as many of the
+    folders above it as tell the names apart, or "agent" where there is one only.
 
     Raises:
         ParameterError: their environments differ in more than what is observed.
@@ -323,7 +324,8 @@ def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], d
             raise ParameterError(f"agents must have one environment, but for what they observe; {group[0]!r} has another one")
     if len(groups) == 1:
         return {AGENT: list(agents.values())}, plants[0]
-    return {Path(group[0]).name: [agents[folder] for folder in group] for group in groups}, plants[0]
+    names = name_folders([group[0] for group in groups], {*CONTROLLERS, *TITLES, *TITLES.values()})
+    return {name: [agents[folder] for folder in group] for name, group in zip(names, groups, strict=True)}, plants[0]
 
 
 def make_rivals(task: Task, names: Sequence[str] | None) -> dict[str, Controller]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import abc
 import itertools
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,8 @@ import numpy.typing as npt
 
 import analysis
 from analysis.quadratic import plant_system, regulator_gain
-from roadgym.parameters import ParameterError, number_array, shown, single_precision, within
+from roadgym.cache import user_folder
+from roadgym.parameters import ParameterError, number, number_array, shown, single_precision
 from roadgym.roads import Road
 from roadgym.task import OPERATING_POINT, Task
 
@@ -110,7 +110,7 @@ class ConstantDamping(Controller):
 
     def __init__(self, task: Task, damping: float) -> None:
         super().__init__(task)
-        self.constant = within("damping", damping)
+        self.constant = number("damping", damping)  # it saturates at the range
 
     def damping(self, signals: Mapping[str, Observation]) -> npt.ArrayLike:
         """The constant."""
@@ -382,9 +382,9 @@ class OptimalFeedback(Scheduled):
         return np.asarray(forms.damping(state))
 
 
-def cache_folder() -> Path:
-    """Where feedbacks are kept: $XDG_CACHE_HOME/roadgym, by default ~/.cache/roadgym."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roadgym"
+def cache_folder() -> Path | None:
+    """Where feedbacks are kept: $XDG_CACHE_HOME/roadgym, by default ~/.cache/roadgym, or what the system has in its place."""
+    return user_folder()
 
 
 CONTROLLERS: dict[str, Callable[[Task], Controller]] = {

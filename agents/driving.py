@@ -15,13 +15,14 @@ from gymnasium.error import DependencyNotInstalled
 from PIL import Image
 
 from roadgym.env import QuarterCarEnv
-from roadgym.files import whole_file
+from roadgym.files import check_file, whole_file
 from roadgym.parameters import ParameterError, positive, whole
 from roadgym.task import Task, make_task
 
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
 from .evaluation import Predictor, observed_by
+from .names import printable, shortened
 from .training import Agent, load, stream_seed
 
 Frame = npt.NDArray[np.uint8]
@@ -30,7 +31,6 @@ Report = Callable[[str, int, int], None]
 FRAMES_PER_SECOND: int = QuarterCarEnv.metadata["render_fps"]
 GIF_SHARE = 3  # a GIF counts time in 1/100 s: every third of 60 frames a second is 20 of them, 5/100 s each
 SECONDS = 10.0  # of a film, unless told otherwise
-TITLE = 40  # letters
 
 
 def check_output(output: str | Path) -> Path:
@@ -38,13 +38,17 @@ def check_output(output: str | Path) -> Path:
 
     Raises:
         ParameterError: its ending is none of `WRITERS`.
-        AgentError: its folder does not exist, or it is a folder itself.
+        AgentError: its folder does not exist or cannot be written, or it is a folder itself.
     """
     path = Path(output)
     if path.suffix.lower() not in WRITERS:
         raise ParameterError(f"output must end in {' or '.join(WRITERS)}, got {str(output)!r}")
     if path.is_dir() or not path.parent.is_dir():
         raise AgentError(f"cannot write {str(path)!r}: {'it is a folder' if path.is_dir() else 'no such folder'}")
+    try:
+        check_file(path)
+    except OSError as error:
+        raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
     return path
 
 
@@ -100,7 +104,7 @@ def frames(
     for title, driver in drivers:
         seen = {"observation": list(observed_by(driver, task)), "observe_operating_point": False}  # each its own signals
         env = QuarterCarEnv(render_mode="rgb_array", **{**environment, **seen})
-        env.render_title = title if len(title) <= TITLE else f"…{title[1 - TITLE :]}"
+        env.render_title = shortened(printable(title))
         observation, _ = env.reset(seed=stream_seed(seed, 3), options=options)
         cars.append((env, driver, [observation, None]))
     for step in itertools.count():

@@ -23,6 +23,7 @@ from roadgym.vector import QuarterCarVectorEnv
 
 from .controllers import OptimalFeedback, optimum, road_at, theoretical_cost
 from .evaluation import OperatingPoint, Predictor, drive, evaluate, observed_by
+from .names import figure_label, file_names
 from .training import stream_seed
 
 if TYPE_CHECKING:
@@ -83,8 +84,9 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
             "Cost over the frequency ratio. Marks: driven, with two standard errors. Full lines: theory.",
         )
     ]
+    endings = file_names(comparison.agents)
     for name, agents in comparison.agents.items():
-        agent, suffix = agents[0], "" if len(comparison.agents) == 1 else f"-{name}"
+        agent, suffix = agents[0], "" if len(comparison.agents) == 1 else f"-{endings[name]}"
         seen = set(observed_by(agent, comparison.task)) - set(OPERATING_POINT)
         if not seen and not needs_simulation(comparison.task.road, comparison.task.speed_noise):
             path = folder / f"schedule{suffix}.png"
@@ -127,7 +129,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> Path:
                 linestyle="none" if rows[0].theory is not None else "--",
                 linewidth=1.2,
                 capsize=2,
-                label=LABELS.get(name, name),
+                label=LABELS.get(name) or figure_label(name),
                 **look,
             )
             if rows[0].theory is not None:
@@ -325,7 +327,7 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
         row = comparison.row(name, point)
         place = [row.squares[signal] for signal in names]
         look = {"markersize": 8, **style(comparison, name)}
-        axis.plot(*place, linestyle="none", label=LABELS.get(name, name), **look)
+        axis.plot(*place, linestyle="none", label=LABELS.get(name) or figure_label(name), **look)
         xs.append(place[0])
         ys.append(place[1])
     axis.set_xscale("log")

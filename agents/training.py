@@ -2,23 +2,27 @@
 
 An agent's folder holds ``agent.json`` (what was trained, on what, with what and how far) and the model file that it names.
 Each checkpoint writes a new model file first and then replaces ``agent.json`` in one step, so the folder holds a sound agent at
-every moment, and an interrupted training resumes from the last one.
+every moment, and an interrupted training resumes from the last one. While a training runs it holds a lock in the folder.
 
 A model file is read with pickle: load only agents that you trust.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 import importlib
 import importlib.metadata
+import itertools
 import json
+import math
+import os
 import platform
+import re
 import sys
-import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +38,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
 import roadgym
+from roadgym import files
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
@@ -65,6 +70,22 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
 )
 FORMAT = 1
 DESCRIPTION = "agent.json"
+MODEL = re.compile(r"model-\d+(-\d+)?\.zip")
+LOCK = ".lock"
+CONTENT: dict[str, type | tuple[type, ...]] = {  # what agent.json must hold to be loaded, resumed and reported
+    "algorithm": str,
+    "environment": dict,
+    "hyperparameters": dict,
+    "seed": int,
+    "command": str,
+    "model": str,
+    "timesteps": int,
+    "reward_statistics": (dict, type(None)),
+    "saved": str,
+}
+STATISTICS = ("mean", "var", "count")  # of the rewards that are scaled
+LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
+MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
 PACKAGES = ("roadgym", "gymnasium", "stable-baselines3", "torch", "numpy", "numba", "scipy")
 DEFAULT_ENVIRONMENT: dict[str, Any] = {"road": "multiplicative", "speed": (0.5, 3.2), "bandwidth": (0.05, 0.5)}
@@ -90,14 +111,42 @@ def make_folder(folder: str | Path) -> Path:
     Raises:
         AgentError: it cannot.
     """
-    path = Path(folder)
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
-            pass
+        return files.make_folder(folder)
     except OSError as error:
-        raise AgentError(f"cannot write to the folder {str(path)!r}: {error.strerror or error}") from None
+        raise AgentError(f"cannot write to the folder {str(folder)!r}: {error.strerror or error}") from None
+
+
+def make_output(file: str | Path) -> Path:
+    """``file`` as a path that can be written, in a folder that exists.
+
+    Raises:
+        AgentError: it cannot.
+    """
+    path = Path(file)
+    try:
+        files.make_folder(path.parent)
+        files.check_file(path)
+    except OSError as error:
+        raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
     return path
+
+
+@contextlib.contextmanager
+def locked(path: Path, work: str) -> Iterator[None]:
+    """Hold the lock file ``path`` while ``work`` is done beside it.
+
+    Raises:
+        AgentError: another process, or another thread of this one, holds it.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(files.locked(path))
+        except BlockingIOError:
+            raise AgentError(f"{str(path.parent)!r} is in use by another {work}") from None
+        except OSError as error:
+            raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
+        yield
 
 
 def plain(value: Any) -> Any:
@@ -145,8 +194,8 @@ def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict
     shipped = [path.stem for path in sorted(HYPERPARAMETERS.glob("*.yaml"))]
     path = HYPERPARAMETERS / f"{chosen}.yaml" if str(chosen) in shipped else Path(chosen)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = _read_yaml(path)
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ParameterError(
             f"cannot read hyperparameters from {str(path)!r}: {reason}; by name there are: {', '.join(shipped)}"
@@ -155,6 +204,28 @@ def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict
     if not isinstance(found, dict):
         raise ParameterError(f"{str(path)!r} holds no hyperparameters for {roadgym.ENVIRONMENT_ID}")
     return found
+
+
+def _read_yaml(path: Path) -> Any:
+    """The content of a YAML file, of a size that hyperparameters can have; ValueError where it is larger."""
+    with path.open("rb") as file:
+        text = file.read(LARGEST_FILE + 1)
+    if len(text) > LARGEST_FILE:
+        raise ValueError(f"it has more than {LARGEST_FILE} bytes")
+    node = yaml.compose(text.decode("utf-8"), yaml.SafeLoader)
+    sizes: dict[int, int] = {}
+
+    def size(node: yaml.Node) -> int:
+        """Number of nodes under ``node``, each as often as it is named."""
+        if id(node) not in sizes:
+            sizes[id(node)] = MOST_NODES + 1  # what it has if it holds itself
+            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+            sizes[id(node)] = 1 + sum(map(size, itertools.chain(*parts) if isinstance(node, yaml.MappingNode) else parts))
+        return sizes[id(node)]
+
+    if node is not None and size(node) > MOST_NODES:
+        raise ValueError(f"it has more than {MOST_NODES} entries, its aliases written out")
+    return yaml.safe_load(text)
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -310,13 +381,21 @@ def _read_description(path: Path) -> dict[str, Any]:
         description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise AgentError(f"no agent in {str(path)!r}: it has no {DESCRIPTION}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise AgentError(f"cannot read the agent in {str(path)!r}: {error}") from None
     if not isinstance(description, dict) or description.get("format") != FORMAT:
         raise AgentError(f"no agent in {str(path)!r}: its {DESCRIPTION} is not of format {FORMAT}")
-    model = path / str(description.get("model"))
-    if description.get("algorithm") not in ALGORITHMS or not zipfile.is_zipfile(model):
-        raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name} is missing or not a model file")
+    for name, kind in CONTENT.items():
+        if name not in description or not isinstance(description[name], kind):
+            raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound {name!r}")
+    statistics = description["reward_statistics"]
+    if statistics is not None and not all(
+        isinstance(statistics.get(key), (int, float)) and math.isfinite(statistics[key]) for key in STATISTICS
+    ):
+        raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'reward_statistics'")
+    model = path / description["model"]
+    if not MODEL.fullmatch(description["model"]) or not zipfile.is_zipfile(model):
+        raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name!r} is missing or not a model file")
     return description
 
 
@@ -329,11 +408,11 @@ class _Checkpoint(BaseCallback):
         self._next = interval
 
     def _init_callback(self) -> None:
-        self._next = self.num_timesteps + self.interval
+        self._next = self.model.num_timesteps + self.interval
 
     def _on_step(self) -> bool:
         if self.num_timesteps >= self._next:
-            self._next += self.interval
+            self._next += self.interval * (1 + (self.num_timesteps - self._next) // self.interval)  # one for all that passed
             save(self.folder, self.model, self.description)
         self.report(min(self.num_timesteps, self.total), self.total, self._mean_reward())
         return True
@@ -346,18 +425,34 @@ class _Checkpoint(BaseCallback):
 
 
 def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> None:
-    """Write the model under a new name, then make agent.json name it, then drop the models before it."""
-    name = f"model-{model.num_timesteps}.zip"
-    with whole_file(folder / name) as part:
-        model.save(part)
+    """Write the model under a new name, then make agent.json name it, then drop the model that it named before.
+
+    Raises:
+        AgentError: it cannot be written; the agent that was there stays.
+    """
+    before = None
+    with contextlib.suppress(AgentError):
+        before = _read_description(folder)["model"]
+    stem = f"model-{model.num_timesteps}"
+    names = (f"{stem}.zip" if number == 0 else f"{stem}-{number}.zip" for number in itertools.count())
+    name = next(name for name in names if name == before or not os.path.lexists(folder / name))  # nobody else's is touched
     envs = model.get_vec_normalize_env()
-    spread = None if envs is None else {key: float(getattr(envs.ret_rms, key)) for key in ("mean", "var", "count")}
+    spread = None if envs is None else {key: float(getattr(envs.ret_rms, key)) for key in STATISTICS}
     content = {**description, "model": name, "timesteps": model.num_timesteps, "reward_statistics": spread}
     content["saved"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    write_atomically(folder / DESCRIPTION, json.dumps(content, indent=2) + "\n")
-    for old in folder.glob("model-*.zip"):
-        if old.name != name:
-            old.unlink()
+    try:
+        # all is on the disk before the two files take their places, one right after the other: who is killed between them
+        # leaves a model that nobody names
+        with whole_file(folder / DESCRIPTION, durable=False) as text, whole_file(folder / name, durable=False) as part:
+            text.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+            with part.open("wb") as file:
+                model.save(file)
+            files.sync(text)
+            files.sync(part)
+        if before not in (None, name):
+            (folder / before).unlink(missing_ok=True)
+    except OSError as error:
+        raise AgentError(f"cannot save the agent in {str(folder)!r}: {error.strerror or error}") from None
 
 
 def silent(done: int, total: int, reward: float | None) -> None:
@@ -395,7 +490,7 @@ def train(
 
     Raises:
         ParameterError: a parameter out of range.
-        AgentError: the folder cannot be written, holds an agent already, or holds none to resume.
+        AgentError: the folder cannot be written, is in use by another training, holds an agent already, or none to resume.
     """
     whole("seed", seed, low=0)
     whole("checkpoint_interval", checkpoint_interval)
@@ -403,11 +498,8 @@ def train(
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     if resume:
         description = _read_description(path)
-        algorithm, seed = description["algorithm"], description["seed"]
-        hyperparameters, environment = description["hyperparameters"], description["environment"]
-    elif (path / DESCRIPTION).exists():
-        raise AgentError(f"the folder {str(path)!r} holds an agent already: resume it or choose another folder")
     else:
+        _refuse_agent(path)
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
         environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
         description = {
@@ -420,33 +512,58 @@ def train(
             "versions": versions(),
             "command": " ".join(sys.argv),
         }
-    total = whole("timesteps", int(hyperparameters.get("n_timesteps", 0)) if timesteps is None else timesteps)
-    task = make_task(**environment)
-    algorithm_class(algorithm)  # a missing package is told before the folder is there
-    path = make_folder(path)
-    log = path / "tensorboard" if tensorboard else None
-
-    if resume:
-        load(path)  # a damaged model is reported as such
-        envs = make_envs(hyperparameters, environment)
-        for key, value in (description["reward_statistics"] or {}).items():
-            setattr(envs.ret_rms, key, value)
-        model = algorithm_class(algorithm).load(
-            path / description["model"], env=envs, device="cpu", tensorboard_log=None if log is None else str(log)
-        )
-        if isinstance(model, OffPolicyAlgorithm):  # its replay buffer is empty
-            model.learning_starts = model.num_timesteps + hyperparameters.get("learning_starts", 100)
-        model.set_random_seed(training_seed(seed, model.num_timesteps) % 2**32)
-        envs.seed(training_seed(seed, model.num_timesteps))
-    else:
-        model = make_model(algorithm, hyperparameters, environment, seed, log)
-    remaining = total - model.num_timesteps
-    if remaining > 0:
-        callback = _Checkpoint(path, description, total, checkpoint_interval, report)
-        try:
-            model.learn(remaining, callback=callback, reset_num_timesteps=not resume, tb_log_name="train")
-        except KeyboardInterrupt:
+    # a missing package or a wrong number is told before the folder is there
+    algorithm_class(description["algorithm"])
+    total = _total(description["hyperparameters"], timesteps)
+    make_folder(path)
+    with locked(path / LOCK, "training"):
+        files.remove_parts(path)
+        if resume:
+            description = _read_description(path)  # another training may have gone on with it
+            total = _total(description["hyperparameters"], timesteps)
+            model = _resumed(path, description, tensorboard)
+        else:
+            _refuse_agent(path)
+            own = description["hyperparameters"], description["environment"]
+            model = make_model(algorithm, *own, seed, _log(path, tensorboard))
+        remaining = total - model.num_timesteps
+        if remaining > 0:
+            callback = _Checkpoint(path, description, total, checkpoint_interval, report)
+            try:
+                model.learn(remaining, callback=callback, reset_num_timesteps=not resume, tb_log_name="train")
+            except KeyboardInterrupt:
+                save(path, model, description)
+                raise
             save(path, model, description)
-            raise
-        save(path, model, description)
-    return Agent(model, json.loads((path / DESCRIPTION).read_text(encoding="utf-8")), task)
+        description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
+    return Agent(model, description, make_task(**description["environment"]))
+
+
+def _refuse_agent(path: Path) -> None:
+    if os.path.lexists(path / DESCRIPTION):
+        raise AgentError(f"the folder {str(path)!r} holds an agent already: resume it or choose another folder")
+
+
+def _total(hyperparameters: Mapping[str, Any], timesteps: int | None) -> int:
+    return whole("timesteps", int(hyperparameters.get("n_timesteps", 0)) if timesteps is None else timesteps)
+
+
+def _log(path: Path, tensorboard: bool) -> Path | None:
+    return path / "tensorboard" if tensorboard else None
+
+
+def _resumed(path: Path, description: Mapping[str, Any], tensorboard: bool) -> BaseAlgorithm:
+    """The model of a folder on environments of its own, to be trained on."""
+    load(path)  # a damaged model is reported as such
+    hyperparameters, seed, log = description["hyperparameters"], description["seed"], _log(path, tensorboard)
+    envs = make_envs(hyperparameters, description["environment"])
+    for key, value in (description["reward_statistics"] or {}).items():
+        setattr(envs.ret_rms, key, value)
+    model = algorithm_class(description["algorithm"]).load(
+        path / description["model"], env=envs, device="cpu", tensorboard_log=None if log is None else str(log)
+    )
+    if isinstance(model, OffPolicyAlgorithm):  # its replay buffer is empty
+        model.learning_starts = model.num_timesteps + hyperparameters.get("learning_starts", 100)
+    model.set_random_seed(training_seed(seed, model.num_timesteps) % 2**32)
+    envs.seed(training_seed(seed, model.num_timesteps))
+    return model

@@ -10,9 +10,10 @@ KDD 2019; the sampler is its tree-structured Parzen estimator.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +34,10 @@ from .training import (
     Agent,
     algorithm_class,
     load_hyperparameters,
+    locked,
     make_folder,
     make_model,
+    make_output,
     plain,
     stream_seed,
     write_atomically,
@@ -123,7 +126,7 @@ def tune(
 
     Raises:
         ParameterError: a parameter out of range, or a study of something else in the file.
-        AgentError: a package is missing, the file cannot be used, or every trial failed.
+        AgentError: a package is missing, the file cannot be used or is in use, or every trial failed.
     """
     optuna = _optuna()
     algorithm_class(algorithm)
@@ -135,33 +138,48 @@ def tune(
     task = make_task(**plant)
     torch.set_num_threads(1)  # as in training
     asked = {"algorithm": algorithm, "environment": plant, "hyperparameters": plain(base), "seed": seed}
-    study = _open(optuna, Path(storage), asked)
 
     def report_of(number: int, best: float | None) -> Callable[[int], None]:
         return lambda done: report(number, done, total, best)
 
-    while (finished := _finished(study)) < trials:
-        # drawn from the number of trials that count, so that an interruption changes nothing
-        study.sampler = optuna.samplers.TPESampler(seed=stream_seed(seed, 3, finished) % 2**32)
-        trial = study.ask()
-        chosen = draw(trial, algorithm, base)
-        trial.set_user_attr("hyperparameters", chosen)
-        completed = study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.COMPLETE,))
-        best = min((t.values[0] for t in completed), default=None)
-        objective = _Objective(trial, algorithm, chosen, plant, task, seed, report_of(finished, best))
+    with _held(optuna, Path(storage)):
+        study = _open(optuna, Path(storage), asked)
+        while (finished := _finished(study)) < trials:
+            # drawn from the number of trials that count, so that an interruption changes nothing
+            study.sampler = optuna.samplers.TPESampler(seed=stream_seed(seed, 3, finished) % 2**32)
+            trial = study.ask()
+            chosen = draw(trial, algorithm, base)
+            trial.set_user_attr("hyperparameters", chosen)
+            completed = study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.COMPLETE,))
+            best = min((t.values[0] for t in completed), default=None)
+            objective = _Objective(trial, algorithm, chosen, plant, task, seed, report_of(finished, best))
+            try:
+                value = objective.run()
+            except (KeyboardInterrupt, ParameterError):
+                _interrupt(study, trial.number)
+                raise
+            except optuna.TrialPruned:
+                study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+            except (ArithmeticError, ValueError) as error:  # networks that diverge
+                trial.set_user_attr("error", " ".join(str(error).split()))
+                study.tell(trial, state=optuna.trial.TrialState.FAIL)
+            else:
+                study.tell(trial, value)
+        return best_of(study)
+
+
+@contextlib.contextmanager
+def _held(package: Any, path: Path) -> Iterator[None]:
+    """Keep other processes from the study in ``path``; what its database raises, such as of a full disk, is an `AgentError`."""
+    if path.is_dir():
+        raise AgentError(f"cannot use {str(path)!r} as a study: it is a folder")
+    make_folder(path.parent)
+    with locked(path.with_name(f".{path.name}.lock"), "search"):
         try:
-            value = objective.run()
-        except (KeyboardInterrupt, ParameterError):
-            _interrupt(study, trial.number)
-            raise
-        except optuna.TrialPruned:
-            study.tell(trial, state=optuna.trial.TrialState.PRUNED)
-        except (ArithmeticError, ValueError) as error:  # networks that diverge
-            trial.set_user_attr("error", " ".join(str(error).split()))
-            study.tell(trial, state=optuna.trial.TrialState.FAIL)
-        else:
-            study.tell(trial, value)
-    return best_of(study)
+            yield
+        except package.exceptions.StorageInternalError as error:
+            reason = str(error.__cause__ or error).splitlines()[0]
+            raise AgentError(f"cannot use {str(path)!r} as a study: {reason}") from None
 
 
 def _optuna() -> Any:
@@ -175,7 +193,6 @@ def _optuna() -> Any:
 
 def _open(package: Any, path: Path, asked: dict[str, Any]) -> optuna.Study:
     """The study in ``path``, with trials that a killed process left behind marked; it must be of what is ``asked``."""
-    make_folder(path.parent)
     try:
         study: optuna.Study = package.create_study(
             storage=f"sqlite:///{path}",
@@ -307,8 +324,7 @@ def write_best(best: Best, path: str | Path, command: str) -> None:
         f"# The best of {best.trials} trials: trial {best.number}, its costs {best.value:.4g} of the best constant damping's,\n"
         f"# found by: {command}\n"
     )
-    make_folder(Path(path).parent)
     content = yaml.safe_dump(
         {roadgym.ENVIRONMENT_ID: best.hyperparameters}, sort_keys=False, default_flow_style=None, width=120
     )
-    write_atomically(Path(path), head + content)
+    write_atomically(make_output(path), head + content)

@@ -30,15 +30,16 @@ def action_space(levels: int | None) -> spaces.Box | spaces.Discrete:
 def damping_from_action(
     action: npt.NDArray[Any], damping_range: tuple[float, float], levels: int | None = None
 ) -> npt.NDArray[np.float32]:
-    """The damping ratio D, shape (n, 1), by the affine map of [-1, 1] onto ``damping_range``.
+    """The damping ratio D, shape (n, 1) from actions of that shape, by the affine map of [-1, 1] onto ``damping_range``.
 
     Args:
-        action: in [-1, 1], shape (n, 1); with ``levels``, one of 0, ..., levels - 1, shape (n,), spread equally over [-1, 1].
+        action: in [-1, 1], any shape, which the result keeps; with ``levels``, one of 0, ..., levels - 1, shape (n,), spread
+            equally over [-1, 1].
         damping_range: the softest and the firmest damping, 1.
         levels: number of levels of a discrete action.
 
     Raises:
-        ParameterError: actions of another shape, that are not finite, or levels that do not exist.
+        ParameterError: actions that are not finite, or levels that do not exist.
     """
     low, high = damping_range
     given = number_array("action", action)
@@ -47,8 +48,6 @@ def damping_from_action(
             raise ParameterError(f"action must be integers from 0 to {levels - 1}, shape (n,), got {shown(action)}")
         values = given.astype(np.float32)[:, None] * np.float32(2 / (levels - 1)) - 1
     else:
-        if given.ndim != 2 or given.shape[1] != 1:
-            raise ParameterError(f"action must have the shape (n, 1), got {given.shape}")
         values = np.clip(given, -1e6, 1e6).astype(np.float32)  # it saturates at the range in any case
     return np.asarray(low + (values + 1) * (0.5 * (high - low)), np.float32)
 

@@ -12,6 +12,7 @@ So neither leakage nor aliasing is a bias, and one formula serves continuous spe
     first order   R(t) = E Z^2 e^(-a),                                            a = wavenumber v t      (4), (5)
     second order  R(t) = E Z^2 e^(-delta a) (cos b a + delta/b sin b a),          b = sqrt(1 - delta^2)   (7), (8)
     harmonic      R(t) = E Z^2 cos(a) e^(-w(t)/2),                                                        (2), (18), (25), (30)
+    waves         the sum of such terms; any other filter of white noise by its matrix exponential,
 
 w(t) being the variance of the phase's random part: sigma^2 t under white noise, sigma^2 (t - (1 - e^(-w_g t))/w_g) under
 low-pass, sigma^2 (1 - e^(-w_g t))/w_g under high-pass noise. Equation numbers are those of Wedig (2020).
@@ -35,12 +36,12 @@ import numpy.typing as npt
 from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, whole, within
 from roadgym.plant import PlantError
-from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
 from roadgym.task import check_plant
 
 from .checks import FloatArray, range_array
-from .response import mean_squares
+from .response import mean_squares, needs_simulation
 from .roads import marginal_density
 from .sampling import Samples, Switching, drive
 
@@ -207,7 +208,7 @@ def _compared(
     """The lines, without their verdicts, and what is left out."""
     turn = speed * road.wavenumber
     # off its line, the spectrum of a sinusoid is leakage and nothing else
-    ratios = (1.0,) if isinstance(road, HarmonicRoad) and speed_noise is None else FREQUENCIES
+    ratios = (1.0,) if road.lines is not None and speed_noise is None else FREQUENCIES
     seeds = np.random.SeedSequence(seed).generate_state(4, np.uint64)
     speeds = {1.0: ratios, 0.5: (1.0,), 2.0: (1.0,)}
     samples = {
@@ -226,22 +227,25 @@ def _compared(
     }
     own, slow, fast = samples[1.0], samples[0.5], samples[2.0]
 
-    uncertainty = road.variance_standard_error / road.variance if isinstance(road, MultiplicativeRoad) else 0.0
+    uncertainty = road.variance_standard_error / road.variance
     lines = [_moment("variance of the level (m^2)", own.level_square, road.variance, uncertainty=uncertainty)]
     left_out: list[str] = []
-    if road.has_slope:
-        lines.append(_moment("variance of the slope (m^2)", own.slope_square, road.variance, uncertainty=uncertainty))
+    if road.slope_variance is not None:
+        expected = road.slope_variance * road.variance
+        lines.append(_moment("variance of the slope (m^2)", own.slope_square, expected, uncertainty=uncertainty))
+    elif road.has_slope:
+        left_out.append(f"variance of the slope (none is known for a {road.kind} road)")
     try:
         for factor, chosen in speeds.items():
-            expected = expected_periodogram(samples[factor], road, speed_noise, factor * speed, chosen)
-            for ratio, found, figure in zip(chosen, samples[factor].periodogram, expected.tolist(), strict=True):
+            figures = expected_periodogram(samples[factor], road, speed_noise, factor * speed, chosen)
+            for ratio, found, figure in zip(chosen, samples[factor].periodogram, figures.tolist(), strict=True):
                 name = f"spectral density at {factor * speed:g} m/s, {ratio * factor * turn:.4g} rad/s (m^2 s)"
                 lines.append(_moment(name, found, figure, uncertainty=uncertainty))
     except ParameterError as error:
         left_out.append(f"spectral density ({error})")
     lines += _law_lines(road, own, slow, fast, left_out)
     try:
-        if speed_noise is not None and not isinstance(road, HarmonicRoad):
+        if needs_simulation(road, speed_noise):
             raise ParameterError(_no_closed_form(road, speed_noise))
         theory = mean_squares(road, speed_noise, damping=damping, speed=speed, natural_frequency=natural_frequency)
         for term, found in zip(MEAN_SQUARES, own.mean_squares, strict=True):
@@ -285,23 +289,28 @@ def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLik
     """
     t = range_array("lag", lag, "lag")
     angle = speed * road.wavenumber * t
-    if isinstance(road, HarmonicRoad):
-        return road.variance * np.cos(angle) * np.exp(-_phase_variance(speed_noise, t) / 2)
-    if speed_noise is not None:
+    if road.lines is not None and (speed_noise is None or road.takes_phase_noise):
+        spread = _phase_variance(speed_noise, t)
+        terms = [share * np.cos(k * angle) * np.exp(-k * k * spread / 2) for share, k in road.lines]
+        return np.asarray(road.variance * np.sum(terms, axis=0))
+    road_filter = road.shaping_filter()
+    if speed_noise is not None or road_filter is None:
         raise ParameterError(_no_closed_form(road, speed_noise))
-    if isinstance(road, FirstOrderRoad):
+    if road_filter.is_first_order:
         return road.variance * np.exp(-angle)
-    if isinstance(road, (GaussianRoad, MultiplicativeRoad)):
-        delta = road.bandwidth
+    if road_filter.bandwidth is not None:
+        delta = float(road_filter.bandwidth)
         root = np.sqrt(complex((delta - 1) * (delta + 1)))
         root = root if abs(root) > 1e-5 else 1e-5  # at critical damping the limit, to 1e-10
         first, second = -delta + root, -delta - root
         decay = (first * np.exp(second * angle) - second * np.exp(first * angle)) / (first - second)
         return np.asarray(road.variance * decay.real)
-    raise ParameterError(f"none is known for a {road.kind} road")
+    return road.variance * road_filter.autocovariance(angle)
 
 
-def _no_closed_form(road: Road, speed_noise: SpeedNoise) -> str:
+def _no_closed_form(road: Road, speed_noise: SpeedNoise | None) -> str:
+    if speed_noise is None:
+        return f"none is known for a {road.kind} road, which declares neither lines nor a filter"
     return f"with {speed_noise.kind} noise there is no closed form on a {road.kind} road"
 
 
@@ -403,7 +412,7 @@ def _switching_lines(
         left_out.append(f"{what} ({_no_closed_form(road, speed_noise)})")
         return []
     if road.shaping_filter() is None:
-        left_out.append(f"{what} (none are known for a {road.kind} road)")
+        left_out.append(f"{what} ({_no_closed_form(road, None)})")
         return []
     switching = Switching(road, damping=damping, speed=speed, natural_frequency=natural_frequency, lanes=lanes, seed=seed)
     lines = []

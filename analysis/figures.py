@@ -23,7 +23,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm, PowerNorm
 from matplotlib.figure import Figure
 
-from roadgym.files import whole_file
+from roadgym.files import make_folder, whole_file
 from roadgym.parameters import ParameterError, shown, whole
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -103,10 +103,9 @@ def write(
             raise ParameterError(f"figure must be one of {', '.join(map(str, FIGURES))}, got {shown(number)}")
     if not isinstance(folder, (str, os.PathLike)):
         raise ParameterError(f"folder must name a folder, got {shown(folder)}")
-    target = Path(folder)
     files = []
     try:
-        target.mkdir(parents=True, exist_ok=True)
+        target = make_folder(folder)
         for number in chosen:
             drawing = FIGURES[number](full, report)
             for name, table in drawing.tables.items():

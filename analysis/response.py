@@ -20,7 +20,7 @@ import numpy.typing as npt
 from roadgym.car import MEAN_SQUARES, QuarterCar
 from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, within
-from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, check_size, range_array, ratio_array
@@ -63,11 +63,13 @@ def mean_squares(
 ) -> MeanSquares:
     """Stationary mean squares at constant damping; (3), (6), (16), (17) of Wedig (2020) and their companions.
 
-    Exact on every road, and under speed noise on the harmonic road: to rounding without low-pass noise, and with it to 1e-10 of
-    each mean square for D <= 5, however slow, fast or weak it is. Of a multiplicative road only variance and bandwidth enter.
+    Exact on every road that is a linear filter or bounded, and under speed noise on the harmonic road: to rounding without
+    low-pass noise, and with it to 1e-10 of each mean square for D <= 5, however slow, fast or weak it is. Of a multiplicative
+    road only variance and bandwidth enter.
 
-    Low-pass noise on a random road has no closed form: there the plant itself is driven, seconds for each operating
-    point, and the result has a standard error. The noise has a fixed seed, so the same call gives the same numbers.
+    Low-pass noise on a random road has no closed form, nor has a road of one's own that declares neither lines nor a filter:
+    there the plant itself is driven, seconds for each operating point, and the result has a standard error. The noise has a
+    fixed seed, so the same call gives the same numbers.
 
     Args:
         road: a road, or its name or mapping.
@@ -97,31 +99,48 @@ def mean_squares(
     }
     if bandwidth is not None:
         arrays["bandwidth"] = checked_bandwidth(bandwidth, road)
-    elif isinstance(road, (GaussianRoad, MultiplicativeRoad)):
-        arrays["bandwidth"] = np.asarray(road.bandwidth)
     damping, speed, *rest = broadcast(**arrays)
     ratio = speed * (road.wavenumber / natural_frequency)
     if driven:
         check_size("operating points to simulate", "damping and speed", damping.size, "driven points")
         bandwidths = rest[0] if bandwidth is not None else None
         return _simulated(road, speed_noise, damping, speed, natural_frequency, bandwidths, relative_error)
-    if isinstance(road, HarmonicRoad):
-        p0, p1, p2, p3 = filter_mean_squares(speed_noise, damping, ratio, natural_frequency)
-    elif isinstance(road, FirstOrderRoad):
+    found = _closed(road, speed_noise, damping, ratio, natural_frequency, rest[0] if rest else None)
+    return MeanSquares(**{name: road.variance * found[name] for name in MEAN_SQUARES}, standard_error=None)
+
+
+def _closed(
+    road: Road,
+    speed_noise: SpeedNoise | None,
+    damping: FloatArray,
+    ratio: FloatArray,
+    natural_frequency: float,
+    bandwidth: FloatArray | None,
+) -> dict[str, FloatArray]:
+    """Mean squares by name over the road's variance, exact: by the closed forms that there are, else by Lyapunov's equation."""
+    road_filter = road.shaping_filter(bandwidth)
+    assert road_filter is not None
+    if road.lines is not None:
+        terms = [
+            [share * term for term in filter_mean_squares(_of_wave(speed_noise, k), damping, k * ratio, natural_frequency)]
+            for share, k in road.lines
+        ]
+        p0, p1, p2, p3 = (np.sum(part, axis=0) for part in zip(*terms, strict=True))
+    elif road_filter.is_first_order:
         p0, p1, p2 = decaying_mean_squares(damping, 0.0, ratio)
         p3 = np.where(ratio > 0, np.inf, 0.0)
-    elif isinstance(road, (GaussianRoad, MultiplicativeRoad)):
-        p0, p1, p2, p3 = _second_order(damping, ratio, rest[0])
+    elif road_filter.bandwidth is not None:
+        p0, p1, p2, p3 = _second_order(damping, ratio, road_filter.bandwidth)
     else:
-        raise ParameterError(f"road must be of a kind whose mean squares are known, got a {road.kind} road")
+        return LinearSystem.of(road_filter, QuarterCar().motion, damping=damping, ratio=ratio).mean_squares()
     gain = 4 * damping**2
-    return MeanSquares(
-        displacement=road.variance * (p0 + gain * p1),
-        velocity=road.variance * (p1 + gain * p2),
-        acceleration=road.variance * (p2 + gain * p3),
-        travel=road.variance * p2,
-        relative_velocity=road.variance * p3,
-    )
+    values = (p0 + gain * p1, p1 + gain * p2, p2 + gain * p3, p2, p3)
+    return dict(zip(MEAN_SQUARES, values, strict=True))
+
+
+def _of_wave(speed_noise: SpeedNoise | None, ratio: float) -> SpeedNoise | None:
+    """Noise on the phase of a wave that turns ``ratio`` times as fast as the road's angle."""
+    return None if speed_noise is None else dataclasses.replace(speed_noise, intensity=ratio * speed_noise.intensity)
 
 
 def checked_speed(speed: npt.ArrayLike, road: Road, natural_frequency: float) -> FloatArray:
@@ -135,16 +154,19 @@ def checked_speed(speed: npt.ArrayLike, road: Road, natural_frequency: float) ->
 def checked_bandwidth(bandwidth: npt.ArrayLike, road: Road) -> FloatArray:
     """Bandwidths in place of the road's: on second-order roads, and not on an ellipse, whose variance each would change."""
     result = range_array("bandwidth", bandwidth, "constant bandwidth")
-    if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
+    own = getattr(road, "bandwidth", None)
+    if own is None:
         raise ParameterError(f"bandwidth must be None: a {road.kind} road has none")
-    for other in result[result != road.bandwidth].flat[:1]:
+    for other in result[result != own].flat[:1]:
         road.with_bandwidth(float(other))
     return result
 
 
 def needs_simulation(road: Road, speed_noise: SpeedNoise | None) -> bool:
-    """Is there no closed form, that is, does noise on the speed drive a random road?"""
-    return speed_noise is not None and not isinstance(road, HarmonicRoad)
+    """Is there no theory, so that the plant must be driven: on a road that is no linear filter, or with noise on the speed?"""
+    if speed_noise is None:
+        return road.shaping_filter() is None
+    return road.lines is None or not road.takes_phase_noise
 
 
 def _simulated(
@@ -182,23 +204,24 @@ def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray)
 def covariance(
     road: str | Mapping[str, Any] | Road, *, damping: npt.ArrayLike, speed: npt.ArrayLike, natural_frequency: float = 1.0
 ) -> FloatArray:
-    """Stationary covariance of (Y, X, Z, U), X = Y'/w1, on a second-order road, by Lyapunov's equation.
+    """Stationary covariance of (Y, X) and the road, which is (Z, U) if of second order, X = Y'/w1, by Lyapunov's equation.
 
     Solved numerically, independent of the closed forms of `mean_squares`; the moment equations (14) of Wedig (2020) are it.
 
     Args:
-        road: a Gaussian or multiplicative road.
+        road: a road that is a linear filter, or bounded.
         damping: D > 0, 1, any shape.
         speed: v >= 0, m/s, any shape that broadcasts.
         natural_frequency: w1, rad/s.
 
     Returns:
-        Covariance matrices, m^2, in the common shape followed by (4, 4).
+        Covariance matrices, m^2, in the common shape followed by (n, n), n = 4 on a second-order road.
     """
     road = make_road(road)
-    if not isinstance(road, (GaussianRoad, MultiplicativeRoad)):
-        raise ParameterError(f"road must be gaussian or multiplicative, got a {road.kind} road")
+    road_filter = road.shaping_filter()
+    if road_filter is None:
+        raise ParameterError(f"road must be a linear filter, see roadgym.linear.ShapingFilter; a {road.kind} road is none")
     w1 = within("natural_frequency", natural_frequency)
     damping, speed = broadcast(damping=range_array("damping", damping, "damping"), speed=checked_speed(speed, road, w1))
     nu = speed * (road.wavenumber / w1)
-    return road.variance * LinearSystem.of(road.shaping_filter(), QuarterCar().motion, damping=damping, ratio=nu).covariance()
+    return road.variance * LinearSystem.of(road_filter, QuarterCar().motion, damping=damping, ratio=nu).covariance()

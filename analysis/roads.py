@@ -91,7 +91,7 @@ def spectral_density(road: str | Mapping[str, Any] | Road, frequency: npt.ArrayL
     multiplicative road has the spectrum of the Gaussian road with its variance, because its drift is linear.
 
     Args:
-        road: a first-order, Gaussian or multiplicative road.
+        road: a road that is a filter of white noise, or bounded.
         frequency: w, rad/s, any shape.
         speed: v, m/s, any shape that broadcasts with ``frequency``.
 
@@ -99,7 +99,7 @@ def spectral_density(road: str | Mapping[str, Any] | Road, frequency: npt.ArrayL
         S, m^2 s, in the common shape.
 
     Raises:
-        ParameterError: a harmonic road, whose spectrum is a pair of lines.
+        ParameterError: a road whose spectrum is a set of lines, or not known.
     """
     road = make_road(road)
     w, v = broadcast(
@@ -108,13 +108,16 @@ def spectral_density(road: str | Mapping[str, Any] | Road, frequency: npt.ArrayL
     turn = v * road.wavenumber
     ratio_array("speed", v, "speed * wavenumber", turn, "angular rate")
     x = w / turn
-    if isinstance(road, FirstOrderRoad):
+    road_filter = road.shaping_filter()
+    if road_filter is None or not road_filter.noise.any():
+        cause = "a pair of lines for each of its waves" if road.lines is not None else "not known"
+        raise ParameterError(f"road must have a spectral density: the spectrum of a {road.kind} road is {cause}")
+    if road_filter.is_first_order:
         return 2 * road.variance / (turn * (1 + x * x))
-    if isinstance(road, (GaussianRoad, MultiplicativeRoad)):
-        delta = road.bandwidth
+    if road_filter.bandwidth is not None:
+        delta = float(road_filter.bandwidth)
         return 4 * delta * road.variance / (turn * (((1 - x) * (1 + x)) ** 2 + (2 * delta * x) ** 2))
-    cause = "the spectrum of a harmonic road is a pair of lines" if road.kind == "harmonic" else f"got a {road.kind} road"
-    raise ParameterError(f"road must be first_order, gaussian or multiplicative: {cause}")
+    return road.variance * road_filter.spectrum(x) / turn
 
 
 def _bounded_power(radius: FloatArray, exponent: float) -> FloatArray:

@@ -95,8 +95,9 @@ def drive(
 
     # The road starts in its stationary law; only one whose law is wrong needs the time to show it.
     memories = [1 / (_decay(damping) * natural_frequency)]
-    if road.kind == "first_order":
-        memories.append(1 / turn)
+    road_filter = road.shaping_filter()
+    if road_filter is not None and road_filter.slowest > 0:
+        memories.append(1 / (road_filter.slowest * turn))
     elif task.bandwidth[0] > 0:
         memories.append(1 / (_decay(task.bandwidth[0]) * turn))
     interval = task.control_interval

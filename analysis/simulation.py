@@ -114,7 +114,7 @@ def drive_together(
 
     memory = 1 / (float(slowest_decay(np.asarray(low))) * natural_frequency)
     # on an ellipse the law is not known: there the road must settle as well, and its variance is no control
-    settled_road = not isinstance(road, MultiplicativeRoad) or road.is_circle
+    settled_road = road.variance_standard_error == 0
     if not settled_road:
         memory = max(memory, 1 / (float(slowest_decay(np.asarray(task.bandwidth[0]))) * turn))
     work = task.substeps * plant.num_envs
@@ -124,19 +124,19 @@ def drive_together(
         plant.step(actions)
 
     chosen = [MEAN_SQUARES.index(name) for name in names if name not in divergent_terms(road, speed_noise)]
-    rows = [LEVEL, SLOPE] if road.has_slope else [LEVEL]
-    totals, controls, steps = np.zeros((5, damping.size, lanes)), np.zeros((len(rows), lanes)), 0
+    known = {LEVEL: 1.0} if road.slope_variance is None else {LEVEL: 1.0, SLOPE: road.slope_variance}  # their mean squares
+    totals, controls, steps = np.zeros((5, damping.size, lanes)), np.zeros((len(known), lanes)), 0
     while True:
         more = math.ceil(memory / interval)
         check_size(f"substeps of all lanes, where relative_error is {relative_error:g},", "it", (steps + more) * work, "work")
         for _ in range(more):
             totals += plant.step(actions)[1][RESULT_SQUARE : RESULT_SQUARE + 5].reshape(totals.shape)
-            for control, row in zip(controls, rows, strict=True):
+            for control, row in zip(controls, known, strict=True):
                 control += plant.row(row)[:lanes].astype(np.float64) ** 2
             steps += 1
         figures = totals / steps
         if settled_road:
-            figures = _without_controls(figures, controls / steps - 1.0)
+            figures = _without_controls(figures, controls / steps - np.array(list(known.values()))[:, None])
         means = figures[chosen].mean(axis=-1)
         errors = figures[chosen].std(axis=-1, ddof=1) / math.sqrt(lanes)
         if np.all(errors <= relative_error * means):

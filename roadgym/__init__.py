@@ -5,6 +5,8 @@ Importing this package registers ``roadgym/QuarterCar-v0`` with Gymnasium, for `
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 
 from .car import MEAN_SQUARES, QuarterCar
@@ -29,11 +31,30 @@ __all__ = [
     "SpeedNoise",
     "WhiteSpeedNoise",
     "__version__",
+    "register",
 ]
 
 __version__ = "0.1.0"
 
 ENVIRONMENT_ID = "roadgym/QuarterCar-v0"
+
+
+def register(what: str, name: str, component: type) -> None:
+    """Add a component of one's own, for use by name in the environment, in theory and in every command.
+
+    Args:
+        what: "road" or "speed_noise".
+        name: its kind.
+        component: a frozen keyword-only dataclass, a `Road` or a `SpeedNoise`.
+
+    Raises:
+        ParameterError: no such sort of component, a class of another sort, or a name that is taken.
+    """
+    tables: dict[str, Any] = {"road": ROADS, "speed_noise": SPEED_NOISES}
+    if what not in tables:
+        raise ParameterError(f"what must be one of {', '.join(tables)}, got {what!r}")
+    tables[what].register(name, component)
+
 
 gymnasium.register(
     id=ENVIRONMENT_ID,

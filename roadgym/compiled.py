@@ -16,8 +16,8 @@ What happens at every substep is a function of a whole block, with a loop over i
 function of one lane, ``(lane, words, table)``: its pointers begin at that lane, so that quantity ``Q`` is ``lane[Q]`` and word
 ``k`` is ``words[k * LANES]``.
 
-`LaneFunction` compiles them, each with its own cache file, and the kernel calls them through their address. That keeps one
-kernel for all roads, compiled once, and lets a road live in any module.
+`LaneFunction` compiles them and the kernel calls them through their address. That keeps one kernel for all roads, compiled
+once, and lets a road live in any module. What is compiled is kept as `roadgym.cache` says.
 """
 
 from __future__ import annotations
@@ -28,8 +28,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
-from numba import cfunc, from_dtype, njit, types
+from numba import from_dtype, njit, types
+from numba.core.ccallback import CFunc
 from numba.extending import intrinsic, overload
+
+from .cache import CodeCache
 
 LANES = 64
 
@@ -49,10 +52,23 @@ COEFFICIENT = 12 * LANES  # first of ten rows that the road fills in `prepare`
 SIZE = 22 * LANES  # numbers in a block
 
 # "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 
-compiled: Callable[[Callable[..., Any]], Any] = njit(nogil=True, **_OPTIONS)
-inlined: Callable[[Callable[..., Any]], Any] = njit(inline="always", **_OPTIONS)  # where a call would stop vectorisation
+
+def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """numba's decorator with a cache that knows all sources."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher: Any = njit(**options, **_OPTIONS)(function)
+        if dispatcher is not function:  # as it is with NUMBA_DISABLE_JIT
+            dispatcher._cache = CodeCache(function)
+        return dispatcher
+
+    return decorate
+
+
+compiled = _kept(nogil=True)
+inlined = _kept(inline="always")  # where a call would stop vectorisation
 
 
 def like(reference: Any, value: Any) -> Any:
@@ -93,6 +109,7 @@ class LaneFunction:
     def __init__(self, function: Callable[[Any, Any, Any], None]) -> None:
         self.function = function
         self.__doc__ = function.__doc__
+        self._cache = CodeCache(function)
         self._compiled: dict[np.dtype[Any], Any] = {}
 
     def address(self, dtype: npt.DTypeLike) -> int:
@@ -100,9 +117,9 @@ class LaneFunction:
         key = np.dtype(dtype)
         if key not in self._compiled:
             number = types.CPointer(from_dtype(key))
-            signature = types.void(number, types.CPointer(types.uint32), number)
-            try:
-                self._compiled[key] = cfunc(signature, **_OPTIONS)(self.function)
-            except RuntimeError:  # a function typed in at a prompt has no file to keep a cache beside
-                self._compiled[key] = cfunc(signature, **{**_OPTIONS, "cache": False})(self.function)
+            arguments = (number, types.CPointer(types.uint32), number)
+            callback: Any = CFunc(self.function, (arguments, types.void), locals={}, options=dict(_OPTIONS))
+            callback._cache = self._cache
+            callback.compile()
+            self._compiled[key] = callback
         return int(self._compiled[key].address)

@@ -41,6 +41,7 @@ class ShapingFilter:
         covariance: P, the stationary covariance of r, shape (n, n).
         flatness: how much the intensity of the noise gives way to the state, 1/alpha on the bounded road; None where its law
             beyond the stationary second moments is not of this form.
+        bandwidth: delta, where this is the filter (7), (8) of Wedig (2020), which has closed forms of its own.
     """
 
     states: tuple[str, ...]
@@ -49,6 +50,32 @@ class ShapingFilter:
     level: FloatArray
     covariance: FloatArray
     flatness: float | None = 0.0
+    bandwidth: FloatArray | None = None
+
+    @property
+    def is_first_order(self) -> bool:
+        """Is this the filter (4) of Wedig (2020), which has closed forms of its own?"""
+        return self.drift.shape == (1, 1) and self.drift[0, 0] == -1
+
+    @property
+    def slowest(self) -> float:
+        """Rate at which what has been is forgotten in the end, over the angle; 0 where nothing is."""
+        return max(0.0, -float(np.max(np.linalg.eigvals(self.drift).real)))
+
+    def autocovariance(self, angle: npt.ArrayLike) -> FloatArray:
+        """E Z(0) Z(angle) at angles >= 0, in their shape; one operating point."""
+        from scipy.linalg import expm
+
+        turns = np.asarray(angle, float)
+        return np.asarray(expm(self.drift * turns[..., None, None]) @ (self.covariance @ self.level) @ self.level)
+
+    def spectrum(self, wavenumber: npt.ArrayLike) -> FloatArray:
+        """Two-sided spectral density of the level over the angle, at wavenumbers over the road's; one operating point."""
+        k = np.asarray(wavenumber, float)
+        gain = self.level @ np.linalg.solve(
+            1j * k[..., None, None] * np.eye(len(self.level)) - self.drift, self.noise.astype(complex)
+        )
+        return np.asarray(np.sum(np.abs(gain) ** 2, axis=-1))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

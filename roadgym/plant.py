@@ -23,15 +23,17 @@ from .task import OPERATING_POINT, SATURATION, Task
 AUTORESET = {"next_step": kernel.NEXT_STEP, "same_step": kernel.SAME_STEP, "disabled": kernel.DISABLED}
 BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
 
-_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+MOST_THREADS = 1024  # of the pool; it starts a thread only where none is idle, so as many as are at work together
+
+_pools: dict[int, ThreadPoolExecutor] = {}
 
 
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """The thread pool of this process; a forked worker finds none of its parent's."""
-    key = (os.getpid(), threads)
-    if key not in _pools:
-        _pools[key] = ThreadPoolExecutor(threads, thread_name_prefix="roadgym")
-    return _pools[key]
+def _pool() -> ThreadPoolExecutor:
+    """The thread pool of this process, one for all plants; a forked worker does not find its parent's."""
+    process = os.getpid()
+    if process not in _pools:
+        _pools[process] = ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="roadgym")
+    return _pools[process]
 
 
 PADDING = 4096  # numbers after a table, all NaN: what reads beyond its end shows, and reads nobody else's memory
@@ -160,7 +162,7 @@ class Plant:
             unsound = function(0, self.blocks, *arguments)
         else:
             edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
-            pool = _pool(self.threads)
+            pool = _pool()
             futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
             found = [function(edges[0], edges[1], *arguments), *(future.result() for future in futures)]
             unsound = min((environment for environment in found if environment >= 0), default=-1)

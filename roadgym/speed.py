@@ -36,9 +36,10 @@ from .compiled import (
     LaneFunction,
     like,
 )
+from .component import Registry
 from .noise import normal_pair
 from .parameters import ParameterError, check_ratio
-from .roads import Road, make_component
+from .roads import Road
 from .roads.base import check_fields
 
 # the table: the substep, the pull of Psi on (Psi, angle, area), the Cholesky factor of their covariance, and four constants
@@ -97,7 +98,7 @@ class SpeedNoise(abc.ABC):
 
     def check_road(self, road: Road) -> None:
         """Raise `ParameterError` unless this noise is defined on ``road``."""
-        if road.kind != "harmonic" and not self.smooth:
+        if not (road.takes_phase_noise or self.smooth):
             raise ParameterError(
                 f"{self.kind} speed noise is defined on the harmonic road only, because the speed contains white noise; "
                 f"on a {road.kind} road use low_pass speed noise or none"
@@ -149,7 +150,7 @@ class SpeedNoise(abc.ABC):
             bridge += weight * (part[1, 1] - shared**2 / covariance[1, 1])
         factor = semidefinite_factor(covariance)
         spread = noise[0] / math.sqrt(2 * corner) if corner > 0 else 0.0
-        floor = -np.inf if road.kind == "harmonic" else 0.0
+        floor = -np.inf if road.takes_phase_noise else 0.0
         return np.concatenate(
             [[interval], transition[:, 0], factor[np.tril_indices(3)], [6 * bridge, pull if self.smooth else 0, spread, floor]]
         )
@@ -226,11 +227,15 @@ class HighPassSpeedNoise(SpeedNoise):
         return self.corner_frequency, -self.corner_frequency, 1.0
 
 
-SPEED_NOISES: dict[str, type[SpeedNoise]] = {
-    "white": WhiteSpeedNoise,
-    "low_pass": LowPassSpeedNoise,
-    "high_pass": HighPassSpeedNoise,
-}
+SPEED_NOISES: Registry[SpeedNoise] = Registry(
+    "speed noise",
+    SpeedNoise,
+    {
+        "white": WhiteSpeedNoise,
+        "low_pass": LowPassSpeedNoise,
+        "high_pass": HighPassSpeedNoise,
+    },
+)
 
 
 def make_speed_noise(speed_noise: str | Mapping[str, Any] | SpeedNoise | None, road: Road) -> SpeedNoise | None:
@@ -241,6 +246,6 @@ def make_speed_noise(speed_noise: str | Mapping[str, Any] | SpeedNoise | None, r
     """
     if speed_noise is None or (isinstance(speed_noise, str) and speed_noise == "none"):
         return None
-    noise = make_component("speed noise", speed_noise, SpeedNoise, SPEED_NOISES)  # type: ignore[type-abstract]
+    noise = SPEED_NOISES.make(speed_noise)
     noise.check_road(road)
     return noise

@@ -1,4 +1,5 @@
 import functools
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from roadgym.task import make_task
 
 ROAD = MultiplicativeRoad.from_shape(shape=2.0, bandwidth=0.3)
 SPEED, BOUNDS = 1.5, (0.1, 1.0)
+POINT = ("road", "speed", "natural_frequency", "weights", "bounds", "control_interval")
 QUICK = {"precision": 0.02, "refinements": 1, "threads": 1}
 
 
@@ -191,6 +193,75 @@ def test_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert feedback._load(path, "another", {}) is None
     path.write_bytes(b"")
     assert feedback._load(path, "another", {}) is None
+
+
+def test_damaged_files_are_not_believed(tmp_path: Path) -> None:
+    rings, rays, rows = feedback.GRIDS[0]
+    refinement = {
+        "rings": rings,
+        "rays": rays,
+        "rows": rows,
+        "sweeps": 60,
+        "expected": 0.5,
+        "cost": 0.5,
+        "standard_error": 0.01,
+    }
+    description, point = "a description", {name: getattr(found(), name) for name in POINT}
+    figures = {"cost": 0.5, "standard_error": 0.01, "history": [refinement]}
+    policy = np.random.default_rng(1).normal(size=(rings, rays, rows, rows, 4)).astype(np.float32)
+    sound = {"figures": figures, "box": np.array([6.0, 7.0]), "policy": policy}
+    path = tmp_path / "feedback.npz"
+
+    def load(**changes) -> OptimalFeedback | None:
+        content = {**sound, **changes}
+        np.savez(path, **content | {"description": description, "figures": json.dumps(content["figures"])})
+        return feedback._load(path, description, point)
+
+    def grid(**changes) -> dict:
+        return {"figures": figures | {"history": [refinement | changes]}}
+
+    assert load() is not None
+    broken = policy.copy()
+    broken[0, 0, 0, 0, 0] = math.nan
+    for changes in (
+        {"figures": figures | {"cost": math.nan}},
+        {"figures": figures | {"cost": -0.5}},
+        {"figures": figures | {"cost": "0.5"}},
+        {"figures": figures | {"cost": True}},
+        {"figures": figures | {"standard_error": 0.0}},
+        {"figures": figures | {"history": []}},
+        {"figures": figures | {"history": [refinement, refinement]}},
+        {"figures": figures | {"more": 1}},
+        {"figures": [1]},
+        grid(expected=math.inf),
+        grid(sweeps=-1),
+        {**grid(rows=4), "policy": policy[:, :, :4, :4]},
+        {"policy": policy[..., :3]},
+        {"policy": policy.astype(float)},
+        {"policy": broken},
+        {"box": np.array([6.0, math.nan])},
+        {"box": np.array([6.0, -7.0])},
+        {"box": np.array([6.0])},
+        {"box": np.array(["6", "7"])},
+    ):
+        assert load(**changes) is None, changes
+    assert load() is not None
+    content = path.read_bytes()
+    for place in range(0, len(content), 4999):  # wherever it is damaged
+        path.write_bytes(content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :])
+        kept = feedback._load(path, description, point)
+        assert kept is None or np.array_equal(kept.policy, policy), place
+    at = content.index(policy.tobytes()[:100])
+    path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+    assert feedback._load(path, description, point) is None
+
+
+def test_result_that_cannot_be_kept_is_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("in the way of a folder")
+    monkeypatch.setattr("roadgym.cache._warned", False)
+    with pytest.warns(RuntimeWarning, match="cache cannot be written"):
+        feedback._save(tmp_path / "file" / "feedback.npz", "a description", found())
+    feedback._save(tmp_path / "file" / "feedback.npz", "a description", found())  # it was told
 
 
 @pytest.mark.parametrize(

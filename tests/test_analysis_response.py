@@ -424,7 +424,7 @@ def test_shapes_broadcast() -> None:
         (lambda: analysis.mean_squares("gaussian", "low_pass", damping=0.1, speed=0.0), "speed must be positive"),
         (lambda: analysis.mean_squares("gaussian", "white", damping=0.1, speed=1.0), "harmonic road only"),
         (lambda: analysis.mean_squares("harmonic", "pink", damping=0.1, speed=1.0), "unknown speed noise 'pink'"),
-        (lambda: analysis.covariance("harmonic", damping=0.1, speed=1.0), "road must be gaussian or multiplicative"),
+        (lambda: analysis.covariance("cobbles", damping=0.1, speed=1.0), "unknown road 'cobbles'"),
         (
             lambda: analysis.mean_squares(
                 "harmonic", LowPassSpeedNoise(intensity=1e5, corner_frequency=1e-9), damping=1e-3, speed=1.0

@@ -2,10 +2,16 @@
 
 import csv
 import dataclasses
+import errno
+import html
+import io
 import json
+import os
 import re
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib.image
 import numpy as np
@@ -13,7 +19,19 @@ import pytest
 
 import agents
 from agents.cli import main
-from agents.comparison import Comparison, Share, compare, make_rows, mean_gap, mean_gap_closed, ratio, table, with_error, write
+from agents.comparison import (
+    Comparison,
+    Share,
+    compare,
+    group_agents,
+    make_rows,
+    mean_gap,
+    mean_gap_closed,
+    ratio,
+    table,
+    with_error,
+    write,
+)
 from agents.controllers import ConstantDamping, make_controller, optimum, theoretical_cost
 from agents.evaluation import Evaluation, OperatingPoint, evaluate, standard_error
 from roadgym import ParameterError
@@ -177,6 +195,41 @@ def test_each_controller_is_handed_what_its_task_observes():
     assert found["less"].mean[0] > 0
 
 
+ODD_NAMES = (r"$\frac{$", "=größe/\n", "x" * 300)
+
+
+def test_odd_names_are_shown_in_every_file(tmp_path):
+    found = compare(
+        {name: [make_controller("skyhook", TASK)] for name in ODD_NAMES},
+        environment=ENVIRONMENT,
+        speeds=[1.5],
+        bandwidths=[0.1],
+        controllers=[],
+        episodes=16,
+    )
+    files = write(found, tmp_path)
+    assert len({file.name.casefold() for file in files}) == len(files) == 5 + len(ODD_NAMES)
+    assert all(file.parent == tmp_path and file.stat().st_size for file in files)
+    cells = [row["controller"] for row in csv.DictReader(io.StringIO(found.to_csv()))]
+    assert cells == [ODD_NAMES[0], f"'{ODD_NAMES[1]}", ODD_NAMES[2], "analytic_optimum"]
+    page = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    assert all(html.escape(name) in page for name in ODD_NAMES)
+
+
+def stand_in(seed, **changes):
+    """What `group_agents` looks at."""
+    description = {"algorithm": "ppo", "environment": {"road": "gaussian"}, "hyperparameters": changes, "seed": seed}
+    return SimpleNamespace(description=description)
+
+
+def test_no_agent_is_dropped_for_the_name_of_its_folder():
+    learned = {"A/agent-0": stand_in(0), "B/agent-0": stand_in(0, gamma=0.9), "A/agent-1": stand_in(1)}
+    groups, _ = group_agents(learned)
+    assert groups == {"A/agent-0": [learned["A/agent-0"], learned["A/agent-1"]], "B/agent-0": [learned["B/agent-0"]]}
+    groups, _ = group_agents({"runs/skyhook": stand_in(0), "runs/other": stand_in(0, gamma=0.9)})
+    assert list(groups) == ["runs/skyhook", "runs/other"]  # skyhook is somebody else
+
+
 def test_weights_of_two_signals_draw_their_front(tmp_path, monkeypatch):
     monkeypatch.setattr("agents.figures.FRONT", (1.0,))
     environment = {**ENVIRONMENT, "reward": {"acceleration": 1.0, "travel": 0.5}}
@@ -213,7 +266,11 @@ def run(*arguments):
     return main([str(argument) for argument in arguments])
 
 
-def test_command_line_goes_the_whole_way(tmp_path, capsys):
+def full_disk(path, text):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path.name)
+
+
+def test_command_line_goes_the_whole_way(tmp_path, capsys, monkeypatch):
     hyperparameters = tmp_path / "small.yaml"
     hyperparameters.write_text(HYPERPARAMETERS)
     output = tmp_path / "results"
@@ -225,6 +282,13 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
     assert "agent learned from the cost, without theory's one-step lookahead" in first
     written = ["comparison.html", "comparison.json", "comparison.csv", "comparison.txt", "cost_over_speed.png", "policy.png"]
     assert {*written, "agent-0"} == {path.name for path in output.iterdir()}
+    # the table is there even where the files cannot be written
+    with monkeypatch.context() as patch:
+        patch.setattr("agents.comparison.write_atomically", full_disk)
+        assert run("compare", "--output", tmp_path / "full", "--agent", output / "agent-0", *compared) == 2
+    printed = capsys.readouterr()
+    assert printed.out == first
+    assert printed.err.splitlines()[-1] == f"roadgym compare: cannot use 'comparison.html': {os.strerror(errno.ENOSPC)}"
     # the same command again finds its agent trained, and says the same
     assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 0
     assert capsys.readouterr().out == first
@@ -271,6 +335,19 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys):
         (["compare", "--algorithm", "dreamer"], "unknown algorithm 'dreamer'"),
         (["compare", "--output", "file/folder"], "cannot write to the folder 'file/folder'"),
         (["compare", "--seed", "-1"], "seed must be at least 0"),
+        (["compare", "--agent", "x/agent", "y/agent", "./x/agent"], "the same folder twice, 'x/agent' and './x/agent'"),
+        (["compare", "--output", "file"], "'file' is not a folder"),
+        (["train", "--output", "file"], "'file' is not a folder"),
+        (["tune", "--storage", ".", "--trials", "1"], "cannot use '.' as a study: it is a folder"),
+        (["tune", "--storage", "s.db", "--output", "."], "cannot write '.': '.' is a folder"),
+        (["tune", "--storage", "s.db", "--output", "file/best.yaml"], "cannot write 'file/best.yaml': 'file' is not a folder"),
+        (["figures", "--output", "file"], "the folder file cannot be written: 'file' is not a folder"),
+        (["figures", "--output", "file/folder"], "the folder file/folder cannot be written: Not a directory"),
+        (["benchmark", "--output", "."], "cannot write '.': '.' is a folder"),
+        (["benchmark", "--output", "x.png", "--scaling"], "output must not end in .png"),
+        (["explore", "--output", "."], "cannot write '.': '.' is a folder"),
+        (["explore", "--output", os.devnull], "is not a regular file"),
+        (["drive", "--controller", "skyhook", "--output", "none/film.gif"], "cannot write 'none/film.gif': no such folder"),
         (["train", "--output", "x", "--hyperparameters", "none.yaml"], "cannot read hyperparameters"),
         (["train", "--output", "x", "--weights", "comfort=1"], "unknown reward term 'comfort'"),
         (["evaluate", "--agent", "nowhere"], "no agent in 'nowhere'"),
@@ -286,6 +363,22 @@ def test_mistakes_get_one_line(arguments, message, capsys, tmp_path, monkeypatch
     assert message in said
     assert "\n" not in said
     assert not any(tmp_path.glob("x/*"))
+
+
+def test_output_takes_letters_that_it_does_not_have(tmp_path, monkeypatch):
+    said = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(said, encoding="ascii"))
+    assert main(["explore", "--output", str(tmp_path / "größe.html")]) == 0
+    assert said.getvalue().splitlines()[0].endswith(rb"gr\xf6\xdfe.html")
+    assert (tmp_path / "größe.html").stat().st_size
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_output_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys, monkeypatch):
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert main(["explore", "--output", str(tmp_path / "page.html")]) == 2
+    assert capsys.readouterr().err == f"roadgym explore: {os.strerror(errno.ENOSPC)}\n"
 
 
 def test_help_is_quick_and_has_an_example():

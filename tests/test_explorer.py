@@ -1,4 +1,4 @@
-"""The interactive page says what Python says: in a browser, through its numbers and through its controls."""
+"""The interactive page says what Python says: its closed forms in node or a browser, its numbers and controls in a browser."""
 
 import html
 import itertools
@@ -8,6 +8,9 @@ import os
 import re
 import shutil
 import subprocess
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,28 +23,35 @@ from roadgym import MEAN_SQUARES, ROADS, SPEED_NOISES, ParameterError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 BROWSER = os.environ.get("ROADGYM_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
+NO_BROWSER = BROWSER is None and os.environ.get("ROADGYM_REQUIRE_BROWSER") != "1"
 needs_browser = pytest.mark.skipif(
-    BROWSER is None and os.environ.get("ROADGYM_REQUIRE_BROWSER") != "1",
+    NO_BROWSER,
     reason=f"no browser: none of {', '.join(BROWSERS)} is on the path, and ROADGYM_BROWSER is not set",
 )
+NODE = shutil.which("node")
 PLANTS = [(road, noise) for road in ROADS for noise in ("none", *SPEED_NOISES)]
 DEFINED = [(road, noise) for road, noise in PLANTS if road == "harmonic" or noise in ("none", "low_pass")]
 
 
-def browse(folder, script, view=None, address=""):
-    """What ``script``, the body of an asynchronous function in the page, returns."""
+def browse(folder, script, view=None, address="", width=1280):
+    """What ``script``, the body of an asynchronous function in the page, returns; the page is ``width`` pixels wide, in a
+    frame, since windows have a least width."""
     assert BROWSER is not None, "ROADGYM_REQUIRE_BROWSER is 1, and there is no browser"
     page = explorer.write(folder / "explorer.html", view)
     runner = f"""<script>(async () => {{
-      const output = document.createElement("pre");
-      output.id = "output";
       const work = async () => {{ {script} }};
       let result;
       try {{ result = await work(); }} catch (error) {{ result = {{error: String(error.stack)}}; }}
-      output.textContent = JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value));
-      document.body.append(output);
+      parent.postMessage(JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value)), "*");
     }})();</script></body>"""
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", runner), encoding="utf-8")
+    frame = folder / "frame.html"
+    frame.write_text(
+        f"""<pre id="output"></pre>
+        <script>onmessage = ({{data}}) => {{ document.getElementById("output").textContent = data; }};</script>
+        <iframe style="width: {width}px; height: 800px; border: 0" src="{page.name}#{html.escape(address)}"></iframe>""",
+        encoding="utf-8",
+    )
     options = [
         "--headless",
         "--no-sandbox",
@@ -49,14 +59,28 @@ def browse(folder, script, view=None, address=""):
         "--virtual-time-budget=100000",
         f"--user-data-dir={folder / 'profile'}",
     ]
-    done = subprocess.run(
-        [BROWSER, *options, "--dump-dom", f"{page.as_uri()}#{address}"], capture_output=True, text=True, timeout=300
-    )
-    found = re.search(r'<pre id="output">(.*?)</pre>', done.stdout, re.DOTALL)
+    done = subprocess.run([BROWSER, *options, "--dump-dom", frame.as_uri()], capture_output=True, text=True, timeout=300)
+    found = re.search(r'<pre id="output">(.+?)</pre>', done.stdout, re.DOTALL)
     assert found, done.stderr[-2000:]
     result = json.loads(html.unescape(found[1]))
     assert not isinstance(result, dict) or "error" not in result, result["error"]
     return result
+
+
+def evaluate(folder, script):
+    """What ``script``, the body of a function given `evaluate`, returns: with the closed forms alone in node, or in a page."""
+    if NODE is None:
+        return browse(folder, f"const evaluate = window.roadgym.evaluate; {script}")
+    path = folder / "script.js"
+    path.write_text(
+        f"""const theory = require({str(explorer.TEMPLATE.with_name("theory.js"))!r});
+        const known = {{plants: {json.dumps(explorer.plants())}, search: {json.dumps(explorer.SEARCH)}}};
+        const work = (evaluate) => {{ {script} }};
+        const result = work((point) => theory.evaluate(point, known));
+        console.log(JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value)));""",
+        encoding="utf-8",
+    )
+    return json.loads(subprocess.run([NODE, path], capture_output=True, check=True, text=True, timeout=300).stdout)
 
 
 def components(point):
@@ -138,15 +162,15 @@ def sample_points():
     return points
 
 
-@needs_browser
+@pytest.mark.skipif(NODE is None and NO_BROWSER, reason="neither node nor a browser is on the path")
 def test_page_computes_what_python_computes(tmp_path):
     points = sample_points()
     levels = [0.0, 0.5, -0.9, 0.999, 1.1]  # of the bound, or of three standard deviations
     frequencies = [0.0, 0.7, 1.0, 5.0]
-    answers = browse(
+    answers = evaluate(
         tmp_path,
         f"""return {json.dumps(points)}.map((point) => {{
-          const found = window.roadgym.evaluate(point);
+          const found = evaluate(point);
           const end = Math.min(found.level_bound, 3);
           return {{...found, density: {levels}.map((part) => found.marginal_density(part * end)),
                    spectrum: {frequencies}.map(found.spectral_density)}};
@@ -280,6 +304,7 @@ def test_controls_show_pythons_numbers(tmp_path):
         road, noise = components(point)
         numbers = view["numbers"]
         pictures.add(view["drawn"])
+        assert (f"σ/√ω1 = {point['intensity']:g}" in view["summary"]) == (noise is not None), step
         infinite = explorer.plants()[point["road"]][point["speed_noise"]]["divergent"]
         assert numbers["density_at_zero"] == shown(float(analysis.marginal_density(road, 0.0))), step
         if point["road"] == "harmonic":
@@ -390,12 +415,47 @@ def test_controls_have_names_and_plants_are_those_of_python(tmp_path):
     assert all(found["labels"][:4])
 
 
+@needs_browser
+@pytest.mark.parametrize("width", [320, 500, 870])
+def test_nothing_runs_off_its_card_and_a_phone_shows_a_plot_first(width, tmp_path):
+    moves = [("road", "harmonic"), ("speed_noise", "high_pass"), ("road", "gaussian"), ("speed_noise", "low_pass")]
+    views = browse(
+        tmp_path,
+        f"""{SEE} const look = () => {{
+          const edges = (element) => element.getBoundingClientRect();
+          const words = (card) => [...card.querySelectorAll("svg text, :not(svg *)")].filter((e) => edges(e).width > 0);
+          const cards = [...document.querySelectorAll(".card")].filter((card) => edges(card).height > 0);
+          const off = cards.flatMap((card) => words(card).filter((e) => edges(e).right > edges(card).right + 0.5
+                                                                   || edges(e).left < edges(card).left - 0.5));
+          const outside = cards.filter((card) => edges(card).right > innerWidth);
+          const first = cards.reduce((a, b) => (edges(b).top < edges(a).top ? b : a));
+          return {{off: [...off, ...outside].map((e) => e.outerHTML), first: first.tagName, width: innerWidth}};
+        }};
+        const views = [look()];
+        for (const [name, value] of {json.dumps(moves)}) {{ move(name, "radio", value); views.push(look()); }}
+        return views;""",
+        width=width,
+    )
+    for view in views:
+        assert view == {"off": [], "first": "FIGURE" if width < 860 else "FORM", "width": width}
+
+
 def test_page_is_one_file_and_loads_nothing(tmp_path):
     text = explorer.write(tmp_path / "page.html").read_text(encoding="utf-8")
-    assert explorer.PLACE not in text
+    assert not re.findall(r"/\*\S+\*/", text)  # places of the parts and the data
+    for name in explorer.PARTS:
+        assert explorer.TEMPLATE.with_name(name).read_text(encoding="utf-8").strip() in text
     assert not re.findall(r"""https?:|@import|url\((?!#)|\bsrc=|\bfetch\(|href="(?!data:)""", text)
     assert roadgym.__version__ in text
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_every_part_of_the_page_is_installed():
+    project = Path(__file__).parents[1] / "pyproject.toml"
+    setuptools = tomllib.loads(project.read_text(encoding="utf-8"))["tool"]["setuptools"]
+    assert explorer.__name__ in setuptools["packages"]
+    for name in (explorer.TEMPLATE.name, *explorer.PARTS):
+        assert any(fnmatch(name, pattern) for pattern in setuptools["package-data"][explorer.__name__]), name
 
 
 def test_plants_are_those_that_are_defined():

@@ -3,7 +3,9 @@
 import json
 import re
 import shutil
+import subprocess
 import sys
+import time
 
 import gymnasium
 import numpy as np
@@ -13,11 +15,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import agents
 import roadgym
+from agents import training
 from agents.cli import main
 from agents.features import FEATURES
 from agents.training import ALGORITHMS, HYPERPARAMETERS, AgentError, load_hyperparameters, make_model, plain, training_seed
 from agents.vec_env import QuarterCarVecEnv, damping_from_action
 from roadgym import ParameterError
+from roadgym.files import locked
 
 SMALL = {
     "n_envs": 4,
@@ -217,23 +221,123 @@ def test_interrupted_training_keeps_its_last_checkpoint_and_resumes(tmp_path):
     assert again.description == done.description  # nothing was left to do
 
 
-def test_killed_while_saving_leaves_a_sound_agent(tmp_path, monkeypatch):
+def test_failed_saving_leaves_a_sound_agent(tmp_path, monkeypatch):
     folder = tmp_path / "agent"
     written = []
 
-    def stop(path, text):
-        if written:
-            raise OSError("the disk is full")
+    def stop(path):
         written.append(path)
-        path.write_text(text)
+        if len(written) > 2:  # the second time that model and description are written
+            raise OSError("the disk is full")
 
-    monkeypatch.setattr("agents.training.write_atomically", stop)
-    with pytest.raises(OSError, match="disk is full"):
+    monkeypatch.setattr("roadgym.files.sync", stop)
+    with pytest.raises(AgentError, match=r"cannot save the agent in .*: the disk is full"):
         small_agent(folder, seed=3, checkpoint_interval=64)
     assert agents.load(folder).description["timesteps"] == 64
+    assert len(list(folder.iterdir())) == 2
 
 
-@pytest.mark.parametrize("damage", ["missing", "no description", "not json", "foreign", "no model", "truncated", "other shape"])
+def test_files_of_others_in_the_folder_are_left_alone(tmp_path):
+    folder = tmp_path / "agent"
+    folder.mkdir()
+    for name in ("model-best.zip", "model-64.zip", "model-256.zip"):
+        (folder / name).write_text(name)
+    trained = small_agent(folder, checkpoint_interval=64)
+    for name in ("model-best.zip", "model-64.zip", "model-256.zip"):
+        assert (folder / name).read_text() == name
+    assert len(list(folder.iterdir())) == 5  # with agent.json and its model
+    np.testing.assert_array_equal(agents.load(folder).predict(OBSERVATIONS)[0], trained.predict(OBSERVATIONS)[0])
+
+
+def test_checkpoints_after_a_resume_are_as_far_apart_as_before(tmp_path, monkeypatch):
+    saved = []
+
+    def note(folder, model, description, save=training.save):
+        saved.append(model.num_timesteps)
+        save(folder, model, description)
+
+    monkeypatch.setattr("agents.training.save", note)
+    small_agent(tmp_path, checkpoint_interval=100)
+    assert saved == [100, 200, 256]
+    saved.clear()
+    agents.train(tmp_path, resume=True, timesteps=512, checkpoint_interval=50)
+    assert saved == [308, 356, 408, 456, 508, 512]
+
+
+def test_second_training_in_a_folder_is_refused_at_once(trained, tmp_path):
+    folder = tmp_path / "agent"
+    shutil.copytree(trained[0], folder)
+    before = (folder / "agent.json").read_bytes()
+
+    def second(done, total, reward):
+        with pytest.raises(AgentError, match="is in use by another training"):
+            agents.train(folder, resume=True)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        agents.train(folder, resume=True, timesteps=512, report=second)
+    assert (folder / "agent.json").read_bytes() != before  # it was the first that went on, as far as it came
+    assert not (folder / ".lock").exists()
+    new = tmp_path / "new"
+    new.mkdir()
+    with locked(new / ".lock"), pytest.raises(AgentError, match="is in use by another training"):
+        small_agent(new)
+
+
+def test_killed_training_goes_on(tmp_path):
+    folder, file = tmp_path / "agent", tmp_path / "small.yaml"
+    file.write_text(json.dumps({roadgym.ENVIRONMENT_ID: SMALL}))
+    options = ["--output", folder, "--hyperparameters", file, "--timesteps", 10**6, "--checkpoint-interval", 16]
+    process = subprocess.Popen([sys.executable, "-m", "agents.cli", "train", *map(str, options)], stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(6000):
+            if (folder / "agent.json").exists() and (folder / ".lock").exists():
+                break
+            time.sleep(0.01)
+    finally:
+        process.kill()
+        process.wait()
+    assert (folder / ".lock").exists()  # nobody took it away, and it is in nobody's way
+    (folder / f".part-{'0' * 16}.zip").write_text("half a model")
+    timesteps = agents.load(folder).description["timesteps"] + 100
+    assert agents.train(folder, resume=True, timesteps=timesteps).description["timesteps"] >= timesteps
+    assert not list(folder.glob(".*"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such limits")
+def test_full_disk_is_told_in_one_line_and_loses_no_checkpoint(trained, tmp_path, capsys):
+    import resource
+
+    folder = tmp_path / "agent"
+    shutil.copytree(trained[0], folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limits[1]))
+    try:
+        code = main(["train", "--output", str(folder), "--resume", "--timesteps", "400"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert code == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("roadgym train: cannot save the agent in ")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+DAMAGES = [
+    "missing",
+    "no description",
+    "not json",
+    "deep",
+    "foreign",
+    "no seed",
+    "no number",
+    "no model",
+    "elsewhere",
+    "truncated",
+    "other shape",
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_unusable_folders_are_told_in_one_line(trained, tmp_path, damage):
     folder = tmp_path / "agent"
     shutil.copytree(trained[0], folder)
@@ -247,8 +351,20 @@ def test_unusable_folders_are_told_in_one_line(trained, tmp_path, damage):
         (folder / "agent.json").write_text("{")
     elif damage == "foreign":
         (folder / "agent.json").write_text('{"name": "someone else"}')
+    elif damage == "deep":
+        (folder / "agent.json").write_text("[" * 100_000)
+    elif damage == "no seed":
+        del description["seed"]
+        (folder / "agent.json").write_text(json.dumps(description))
+    elif damage == "no number":
+        description["reward_statistics"]["var"] = "large"
+        (folder / "agent.json").write_text(json.dumps(description))
     elif damage == "no model":
         model.unlink()
+    elif damage == "elsewhere":
+        shutil.copy(model, tmp_path)
+        description["model"] = f"../{model.name}"
+        (folder / "agent.json").write_text(json.dumps(description))
     elif damage == "truncated":
         model.write_bytes(model.read_bytes()[:-2000])
     elif damage == "other shape":
@@ -257,6 +373,8 @@ def test_unusable_folders_are_told_in_one_line(trained, tmp_path, damage):
     with pytest.raises(AgentError, match=str(folder)) as caught:
         agents.load(folder)
     assert "\n" not in str(caught.value)
+    with pytest.raises(AgentError, match=str(folder)):
+        agents.train(folder, resume=True, timesteps=512)
 
 
 def test_output_that_cannot_be_written(tmp_path):
@@ -312,6 +430,25 @@ def test_hyperparameter_files(tmp_path, monkeypatch):
     file.write_text("a: [")
     with pytest.raises(ParameterError, match="cannot read hyperparameters"):
         load_hyperparameters("ppo", file)
+
+
+def test_hyperparameters_that_would_not_fit_into_memory_are_refused(tmp_path):
+    file = tmp_path / "bomb.yaml"
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 12)]
+    for text, message in (
+        ("\n".join([*lines, f"{roadgym.ENVIRONMENT_ID}: {{gamma: *a11}}"]), "more than 10000 entries"),
+        (f"{roadgym.ENVIRONMENT_ID}: &me {{policy_kwargs: *me}}", "more than 10000 entries"),
+        ("[" * 3_000, "recursion"),
+        ("#" * 2_000_000, "more than 1000000 bytes"),
+        (f"{roadgym.ENVIRONMENT_ID}: {{n_envs: {'1' * 10_000}}}", "cannot read hyperparameters"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ParameterError, match=message) as caught:
+            load_hyperparameters("ppo", file)
+        assert "\n" not in str(caught.value)
+    file.write_text(f"common: &common {{n_steps: 8}}\n{roadgym.ENVIRONMENT_ID}: {{<<: *common, n_envs: 4}}")
+    assert load_hyperparameters("ppo", file) == {"n_steps": 8, "n_envs": 4}
 
 
 def test_help_names_what_can_be_chosen(capsys):

@@ -1,5 +1,6 @@
 """The search for hyperparameters: resumable, repeatable, and with a result that trains."""
 
+import shutil
 import sys
 
 import numpy as np
@@ -12,6 +13,7 @@ from agents.cli import main
 from agents.errors import AgentError
 from agents.training import ALGORITHMS, load_hyperparameters, make_model
 from roadgym import ParameterError
+from roadgym.files import locked
 
 ENVIRONMENT = {"road": "multiplicative", "speed": [0.7, 2.0], "bandwidth": [0.1, 0.3], "damping_range": [0.5, 1.0]}
 TINY = {"n_envs": 64, "features": ["signals"], "normalize": {"norm_reward": True}}
@@ -88,6 +90,16 @@ def test_studies_of_something_else_are_refused(studied, tmp_path):
     with pytest.raises(AgentError, match=r"cannot use .* as a study") as caught:
         search(tmp_path / "text.db")
     assert "\n" not in str(caught.value)
+
+
+def test_study_in_use_is_refused_and_left_alone(studied, tmp_path):
+    path, best, _ = studied
+    shutil.copy(path, tmp_path / "study.db")
+    with locked(tmp_path / ".study.db.lock"), pytest.raises(AgentError, match="is in use by another search"):
+        search(tmp_path / "study.db", trials=best.trials + 1)
+    assert len(trials_of(tmp_path / "study.db")) == len(trials_of(path))
+    with pytest.raises(AgentError, match="it is a folder"):
+        search(tmp_path)
 
 
 def test_best_is_a_file_that_training_takes(studied, tmp_path):

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import threading
 
 import gymnasium
 import numpy as np
@@ -62,6 +63,18 @@ def test_results_do_not_depend_on_batch_size_or_threads():
         np.testing.assert_array_equal(results[0][0], results[1][0][:5])
         np.testing.assert_array_equal(results[1][0], results[2][0])
         np.testing.assert_array_equal(results[1][1], results[2][1])
+
+
+def test_one_pool_serves_every_number_of_threads():
+    def count():
+        return sum(thread.name.startswith("roadgym") for thread in threading.enumerate())
+
+    before = count()
+    for threads in range(2, 13):
+        envs = QuarterCarVectorEnv(12 * 32 * 64, threads=threads)
+        assert envs._plant.threads == threads
+        envs.reset(seed=0)
+    assert count() <= max(before, 11)
 
 
 def test_same_step_gives_the_final_observation_and_next_step_the_same_episodes():

@@ -32,6 +32,9 @@ class Road(abc.ABC):
     - ``advance``, of a whole block: moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets
       LEVEL_EXCESS.
 
+    What theory needs to know it asks the road: `lines` or `shaping_filter`, of which one is enough for every mean square, the
+    best constant damping and the autocovariance. A road with neither is driven wherever theory would be asked.
+
     What a component says of itself is checked when it is used (`roadgym.task.check_component`, `roadgym.plant.Plant`). Lane
     functions are trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one that
     reads a little too far gives NaN, which is detected; one that reads or writes far off, or more words than it asked for,
@@ -43,6 +46,7 @@ class Road(abc.ABC):
 
     has_slope: ClassVar[bool] = True  # is dZ/ds a number, that is, does Z contain no white noise in its derivative
     words_per_substep: ClassVar[int] = 2
+    takes_phase_noise: ClassVar[bool] = False  # does ``advance`` heed TURN_EXCESS and TURN_VARIANCE, and turn backwards too
     loss_range: ClassVar[str] = "loss"  # range of the bandwidth times the angle of a substep, in `roadgym.parameters.RANGES`
     prepare: ClassVar[LaneFunction | None] = None
     start: ClassVar[LaneFunction]
@@ -61,6 +65,11 @@ class Road(abc.ABC):
         """Floating-point format that the road's law needs at least: "float32" or "float64"."""
         return "float32"
 
+    @property
+    def variance_standard_error(self) -> float:
+        """Standard error of the variance, m^2, where that is not exact."""
+        return 0.0
+
     def check_driven(self) -> None:  # noqa: B027  (most roads that exist can be driven)
         """Raise `ParameterError` for a road that theory knows, and that cannot be driven."""
 
@@ -68,17 +77,50 @@ class Road(abc.ABC):
         """Constants for the lane functions, the same for every lane."""
         return np.zeros(1)
 
+    @property
+    def lines(self) -> tuple[tuple[float, float], ...] | None:
+        """The spectrum of a road that is a sum of waves with independent uniform phases; None of any other road.
+
+        A pair for each wave: its share of the variance, and its wavenumber over that of the road.
+        """
+        return None
+
     def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter | None:
-        """The road as a linear filter, see `roadgym.linear`; None where it is none.
+        """The road as a linear filter, see `roadgym.linear`; None where it is none. Of waves, an oscillator each.
 
         Args:
             bandwidth: in place of the road's own, at the same variance, any shape; on roads that have one.
         """
-        return None
+        return None if self.lines is None else waves(self.lines)
+
+    @property
+    def slope_variance(self) -> float | None:
+        """Stationary variance of the scaled slope U over that of the level, 1; None where it is not known."""
+        road = self.shaping_filter()
+        if road is None or not self.has_slope:
+            return None
+        slope = road.level @ road.drift
+        return float(slope @ road.covariance @ slope)
 
     def with_bandwidth(self: Self, bandwidth: float) -> Self:
         """The same road with another bandwidth and the same variance; raises `ParameterError` on roads without one."""
         raise ParameterError(f"a {self.kind} road has no bandwidth")
+
+
+def waves(lines: tuple[tuple[float, float], ...]) -> ShapingFilter:
+    """A sum of waves (see `Road.lines`): oscillators without damping and noise, whose phases are uniform at the start."""
+    shares, ratios = np.array(lines, float).T
+    size = 2 * len(lines)
+    drift = np.zeros((size, size))
+    drift[range(0, size, 2), range(1, size, 2)], drift[range(1, size, 2), range(0, size, 2)] = ratios, -ratios
+    level = np.zeros(size)
+    level[::2] = np.sqrt(shares)
+    names = (
+        ("level", "slope")
+        if len(lines) == 1
+        else (f"{part} of wave {k + 1}" for k in range(len(lines)) for part in ("level", "slope"))
+    )
+    return ShapingFilter(states=tuple(names), drift=drift, noise=np.zeros((size, 0)), level=level, covariance=np.eye(size))
 
 
 def check_fields(component: Any, **ranges: str) -> None:

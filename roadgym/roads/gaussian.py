@@ -52,6 +52,7 @@ def second_order_filter(bandwidth: npt.ArrayLike, flatness: float | None = 0.0) 
         level=np.array([1.0, 0.0]),
         covariance=np.eye(2),
         flatness=flatness,
+        bandwidth=delta,
     )
 
 

@@ -12,10 +12,8 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..compiled import LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, TURN_EXCESS, TURN_VARIANCE, LaneFunction, like
-from ..linear import ShapingFilter
 from ..noise import uniform
 from .base import Road, check_fields
 
@@ -62,6 +60,7 @@ class HarmonicRoad(Road):
     amplitude: float = 1.0
 
     words_per_substep = 0
+    takes_phase_noise = True
     start = start
     advance = advance
 
@@ -74,12 +73,7 @@ class HarmonicRoad(Road):
         """E Z^2 = mu^2 / 2, m^2."""
         return self.amplitude**2 / 2
 
-    def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter:
-        """An oscillator without damping and noise, whose phase is uniform at the start."""
-        return ShapingFilter(
-            states=("level", "slope"),
-            drift=np.array([[0.0, 1.0], [-1.0, 0.0]]),
-            noise=np.zeros((2, 0)),
-            level=np.array([1.0, 0.0]),
-            covariance=np.eye(2),
-        )
+    @property
+    def lines(self) -> tuple[tuple[float, float], ...]:
+        """One wave."""
+        return ((1.0, 1.0),)

@@ -1,8 +1,11 @@
 """The interactive page of the closed forms: one HTML file that computes everything itself, with neither network nor libraries.
 
-The page, `explorer.html` beside this module, evaluates the same formulas as `analysis.response`, `analysis.optimum`,
-`analysis.rotating_frame`, `analysis.roads` and `analysis.stability`, in units of w1 and of the road's standard deviation.
-Python tells it the ranges of its parameters, the plants that are defined and the view to begin with, but no result.
+`page.html` takes in `style.css` and, in this order, `theory.js` (the closed forms alone, which node runs too), `words.js`
+(numbers and sentences), `plots.js` (the drawings) and `page.js` (the state and the controls).
+
+The page evaluates the same formulas as `analysis.response`, `analysis.optimum`, `analysis.rotating_frame`, `analysis.roads` and
+`analysis.stability`, in units of w1 and of the road's standard deviation. Python tells it the ranges of its parameters, the
+plants that are defined and the view to begin with, but no result.
 """
 
 from __future__ import annotations
@@ -22,12 +25,14 @@ from roadgym.reward import check_weights, divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, make_road
 from roadgym.speed import SPEED_NOISES, make_speed_noise
 
-from .checks import one_of
-from .optimum import COARSE, DISPLACEMENT, FINE, ROUNDS
-from .response import needs_simulation
+from ..checks import one_of
+from ..optimum import COARSE, DISPLACEMENT, FINE, ROUNDS
+from ..response import needs_simulation
 
-TEMPLATE = Path(__file__).with_name("explorer.html")
+TEMPLATE = Path(__file__).with_name("page.html")
+PARTS = ("style.css", "theory.js", "words.js", "plots.js", "page.js")  # each has its name in a comment of the template
 PLACE = "/*DATA*/"  # in the template
+SEARCH = {"coarse": COARSE, "fine": FINE, "rounds": ROUNDS}  # of the best damping
 ROADS = (HarmonicRoad, FirstOrderRoad, GaussianRoad, MultiplicativeRoad)
 NO_NOISE = "none"
 
@@ -86,10 +91,13 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
         "mean_squares": MEAN_SQUARES,
         "plants": plants(),
         "ranges": {name: dataclasses.asdict(value) for name, value in RANGES.items()},
-        "search": {"coarse": COARSE, "fine": FINE, "rounds": ROUNDS},
+        "search": SEARCH,
         "view": make_view({} if view is None else view),
     }
-    text = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, json.dumps(data))
+    text = TEMPLATE.read_text(encoding="utf-8")
+    for name in PARTS:
+        text = text.replace(f"/*{name}*/", TEMPLATE.with_name(name).read_text(encoding="utf-8").rstrip("\n"))
+    text = text.replace(PLACE, json.dumps(data))
     target = Path(path)
     try:
         with whole_file(target) as part:

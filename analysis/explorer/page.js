@@ -1,0 +1,189 @@
+/* The state, the controls that change it and the numbers that follow it. */
+
+window.roadgym = Object.freeze({ evaluate: (p) => evaluate(p, data) });
+
+const $ = (id) => document.getElementById(id);
+const all = (selector) => [...document.querySelectorAll(selector)];
+
+/* ---- The state: parameters by name, in the address too. ---- */
+
+const has = Object.hasOwn;
+const initial = () => structuredClone(data.view);
+let state = initial();
+
+/** Set a parameter, within its range; the bounds of the damping push each other. */
+function set(name, value) {
+  if (has(data.ranges, name)) {
+    if (!Number.isFinite(value)) return;
+    const { low, high } = data.ranges[name];
+    state[name] = Math.min(Math.max(value, low), high);
+    if (name === "damping_min") state.damping_max = Math.max(state.damping_max, state.damping_min);
+    if (name === "damping_max") state.damping_min = Math.min(state.damping_min, state.damping_max);
+  } else if (has(state.weights, name)) {
+    if (Number.isFinite(value)) state.weights[name] = Math.max(value, 0);
+  } else if (name === "road" && has(data.plants, value)) {
+    state.road = value;
+    if (!has(data.plants[value], state.speed_noise)) state.speed_noise = "none";
+  } else if (name === "speed_noise" && has(data.plants[state.road], value)) {
+    state.speed_noise = value;
+  }
+}
+
+function readAddress() {
+  state = initial();
+  const given = new URLSearchParams(location.hash.slice(1));
+  set("road", given.get("road")); // first, for it decides which speed noises there are
+  for (const [name, value] of given) set(name, name === "speed_noise" ? value : parseFloat(value));
+}
+
+let writing = 0;
+function writeAddress() { // not more often than browsers allow
+  clearTimeout(writing);
+  writing = setTimeout(() => {
+    const { weights, ...rest } = state;
+    history.replaceState(null, "", `#${new URLSearchParams({ ...rest, ...weights })}`);
+  }, 250);
+}
+
+/* ---- Numbers. ---- */
+
+function showNumbers(p, result) {
+  const { optimum: best, stability: rates } = result;
+  const pair = (values) => (values ? values.map(text).join(", ") : "–");
+  const shown = {
+    cost: text(result.cost),
+    best_damping: text(best && best.damping),
+    best_cost: text(best && best.cost),
+    mean_amplitude: text(result.mean_amplitude),
+    almost_sure: pair(rates && rates.almost_sure),
+    mean: pair(rates && rates.mean),
+    rotation_numbers: pair(rates && rates.rotation_numbers),
+    density_at_zero: text(result.marginal_density(0)),
+    bound: text(result.level_bound),
+  };
+  for (const name of data.mean_squares) shown[name] = text(result.mean_squares && result.mean_squares[name]);
+  for (const element of all("[data-number]")) element.textContent = shown[element.dataset.number];
+
+  const bound = best && (best.damping === p.damping_min ? "min" : best.damping === p.damping_max ? "max" : "");
+  const named = bound ? ` = <i>D</i><sub>${bound}</sub>` : "";
+  $("best-name").innerHTML = named;
+  $("summary").innerHTML = best
+    ? `${plantName(p)} At <i>ν</i> = ${p.frequency_ratio} the damping <b class="at"><i>D</i> = ${p.damping}</b> costs `
+      + `<b class="at">${shown.cost}</b>; the best from ${p.damping_min} to ${p.damping_max}, `
+      + `<b class="best"><i>D</i>${named} = ${shown.best_damping}</b>, costs <b class="best">${shown.best_cost}</b>.`
+    : plantName(p);
+  const plant = plantOf(p, data.plants);
+  $("notice").textContent = obstacle(p, plant);
+  $("notice").hidden = obstacle(p, plant) === "";
+  $("python").textContent = pythonCode(p, plant);
+}
+/* ---- Controls. ---- */
+
+function input(attributes) {
+  return Object.assign(document.createElement("input"), attributes);
+}
+
+function makeControls() {
+  for (const control of all(".control")) {
+    const { name } = control.dataset, { low, high, steps } = data.ranges[name];
+    const number = input({ type: "number", id: name, name, min: low, max: high, step: 0.01 });
+    control.append(number);
+    if (control.closest(".bounds")) continue;
+    const slider = input({ type: "range", name, min: 0, max: steps, step: 1 });
+    slider.setAttribute("aria-label", control.textContent.replace(/\s+/g, " ").trim());
+    control.append(slider);
+  }
+  for (const row of all("[data-mean-square]")) {
+    const name = row.dataset.meanSquare;
+    const value = row.insertCell(), weight = row.insertCell();
+    value.className = "value";
+    value.dataset.number = name;
+    const number = input({ type: "number", name, min: 0, step: 0.1 });
+    number.setAttribute("aria-label", `weight of ${name.replace("_", " ")}`);
+    weight.append(number);
+    weight.className = "weight";
+  }
+  $("version").textContent = data.version;
+
+  addEventListener("input", ({ target }) => {
+    if (target.type === "range") set(target.name, valueAt(data.ranges[target.name], target.valueAsNumber / target.max));
+    else set(target.name, target.type === "number" ? target.valueAsNumber : target.value);
+    render();
+  });
+  addEventListener("change", () => showControls(state, null)); // what was typed, as it is taken
+  $("controls").addEventListener("reset", (event) => {
+    event.preventDefault();
+    state = initial();
+    render();
+  });
+  for (const svg of all("svg[data-drag]")) {
+    const drag = (event) => {
+      const { width, left, right, x } = scales[svg.id];
+      const box = svg.getBoundingClientRect();
+      const share = ((event.clientX - box.left) * width / box.width - left) / (right - left);
+      set(svg.dataset.drag, valueAt(x, Math.min(Math.max(share, 0), 1)));
+      render();
+    };
+    svg.addEventListener("pointerdown", (event) => {
+      svg.setPointerCapture(event.pointerId);
+      drag(event);
+    });
+    svg.addEventListener("pointermove", (event) => {
+      if (event.buttons & 1) drag(event);
+    });
+  }
+  addEventListener("resize", render);
+  addEventListener("hashchange", () => {
+    readAddress();
+    render();
+  });
+}
+
+/** Which elements with data-when are shown. */
+function conditions(p, plant) {
+  const noise = p.speed_noise !== "none";
+  return {
+    random: p.road !== "harmonic",
+    harmonic: p.road === "harmonic",
+    second_order: ["gaussian", "multiplicative"].includes(p.road),
+    multiplicative: p.road === "multiplicative",
+    bounded: levelBound(p) < Infinity,
+    noise,
+    quiet: !noise,
+    white: p.road === "harmonic" && p.speed_noise === "white",
+    filtered: ["low_pass", "high_pass"].includes(p.speed_noise),
+    known: hasCost(p, plant),
+    spectrum: spectralDensity(p, 1) !== null,
+  };
+}
+
+/** Write the state into all controls but the number being typed. */
+function showControls(p, typed = document.activeElement) {
+  for (const element of all("input")) {
+    if (element.type === "radio") {
+      element.checked = element.value === p[element.name];
+      if (element.name === "speed_noise") element.disabled = !has(data.plants[p.road], element.value);
+    } else {
+      const value = has(p.weights, element.name) ? p.weights[element.name] : p[element.name];
+      if (element.type === "range") {
+        element.value = Math.round(part(data.ranges[element.name], value) * element.max);
+        element.setAttribute("aria-valuetext", value);
+      } else if (element !== typed) element.value = value;
+    }
+  }
+  const plant = plantOf(p, data.plants), shown = conditions(p, plant);
+  for (const element of all("[data-when]")) element.hidden = !shown[element.dataset.when];
+  $("code").classList.toggle("wide", !plant.simulated); // beside the density, if that is the only plot
+}
+
+function render() {
+  const result = evaluate(state, data);
+  showControls(state);
+  showNumbers(state, result);
+  showPlots(state, result);
+  writeAddress();
+}
+
+makeControls();
+readAddress();
+render();

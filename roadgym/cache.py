@@ -1,0 +1,225 @@
+"""Where things are kept that cost time to make, and the cache of compiled code there.
+
+Compiled code must not outlive what it was compiled from, and a compiled function holds code and constants of other modules. So
+each is kept under a *stamp*, a digest of all sources of this package and of the package that the function belongs to (of its
+file alone, where it belongs to none): after any edit everything is compiled anew. Nothing is written beside the sources,
+numba's settings stay as they are, and where nothing can be kept everything works without.
+
+One file holds the code of one function for one signature. It begins with a digest of the rest, so a damaged one is as good as
+none, and it is written whole, so any number of processes may work at once. Stamps that were not used for long are removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import inspect
+import os
+import pickle
+import re
+import shutil
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core import config, serialize
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+
+from .files import PART, whole_file
+
+KEPT = 32  # stamps; one of the whole package takes about 5 MB
+STAMP = re.compile(r"[0-9a-f]{32}")
+SUFFIX = ".code"
+
+_warned = False
+_digests: dict[Path, tuple[str, dict[Path, tuple[int, int]]]] = {}
+_used: set[Path] = set()
+
+
+def user_folder() -> Path | None:
+    """This package's folder in the user's cache folder: XDG_CACHE_HOME, or what the system has; None without a home."""
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111 - Path.home() raises where there is none
+    if sys.platform == "win32":
+        usual = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        usual = home / "Library" / "Caches"
+    else:
+        usual = home / ".cache"
+    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    found = chosen if chosen.is_absolute() else usual
+    return found / "roadgym" if found.is_absolute() else None
+
+
+def compiled_folder() -> Path | None:
+    """The folder of compiled code: in NUMBA_CACHE_DIR where that is set, else in `user_folder`."""
+    chosen: str = getattr(config, "CACHE_DIR", "")  # from the environment, or from numba's own file of settings
+    base = Path(chosen).absolute() / "roadgym" if chosen else user_folder()
+    return None if base is None else base / "compiled"
+
+
+def compiled_files() -> list[Path]:
+    """All files of compiled code that are kept."""
+    folder = compiled_folder()
+    found: list[Path] = []
+    if folder is not None:
+        for stamp in _stamps(folder):
+            with contextlib.suppress(OSError):
+                found += [path for path in stamp.iterdir() if path.suffix == SUFFIX or PART.fullmatch(path.name)]
+    return found
+
+
+def clear_compiled() -> None:
+    """Remove all compiled code that is kept; processes that use it go on.
+
+    Raises:
+        OSError: something cannot be removed.
+    """
+    for path in compiled_files():
+        path.unlink(missing_ok=True)
+    folder = compiled_folder()
+    for stamp in [] if folder is None else _stamps(folder):
+        with contextlib.suppress(OSError):  # a file has just come, or is somebody else's
+            stamp.rmdir()
+
+
+def _stamps(folder: Path) -> list[Path]:
+    """The folders of stamps, the latest used first."""
+    found = []
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if STAMP.fullmatch(path.name):
+                with contextlib.suppress(OSError):
+                    found.append((path.stat().st_mtime, path))
+    return [path for _, path in sorted(found, reverse=True)]
+
+
+def warn_not_kept(folder: Path | None, error: OSError | None) -> None:
+    """Warn, once in a process, that what was made cannot be kept and is made again the next time."""
+    global _warned
+    if not _warned:
+        _warned = True
+        why = "there is no home folder" if error is None else f"{str(folder)!r}: {error.strerror or error}"
+        warnings.warn(
+            f"the cache cannot be written, {why}; XDG_CACHE_HOME or NUMBA_CACHE_DIR may name another folder",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+
+def _state(file: Path) -> tuple[int, int]:
+    status = file.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+def _digest(file: Path) -> str:
+    """Digest of all sources of the package that ``file`` belongs to, read when its first function is decorated."""
+    root = file.parent
+    while (root.parent / "__init__.py").is_file():
+        root = root.parent
+    root = root if (root / "__init__.py").is_file() else file
+    digest, states = _digests.get(root, ("", {}))
+    if states.get(file) != _state(file):  # new here, or edited and reloaded
+        sources = sorted({file, *root.rglob("*.py")})
+        hashed = hashlib.sha256()
+        for path in sources:
+            hashed.update(f"{path.relative_to(root.parent).as_posix()}\0{path.stat().st_size}\0".encode())
+            hashed.update(path.read_bytes())
+        digest = hashed.hexdigest()
+        _digests[root] = digest, {path: _state(path) for path in sources}
+    return digest
+
+
+def stamp_of(function: Callable[..., Any]) -> str | None:
+    """The stamp of the sources that ``function`` is compiled from; None where there are none, as at a prompt."""
+    try:
+        own, here = (_digest(Path(path).absolute()) for path in (inspect.getfile(function), __file__))
+    except (OSError, TypeError):
+        return None
+    return hashlib.sha256(f"{here}{own}".encode()).hexdigest()[:32]
+
+
+class CodeCache(NullCache):
+    """Keeps the compiled code of one function; numba asks it in place of the cache that ``cache=True`` would make."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._stamp = stamp_of(function)
+
+    @property
+    def _folder(self) -> Path | None:
+        folder = compiled_folder()
+        return None if folder is None or self._stamp is None else folder / self._stamp
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder of this function's code."""
+        return None if self._folder is None else str(self._folder)
+
+    def flush(self) -> None:
+        """Forget this function's code."""
+        if self._folder is not None:
+            for path in self._folder.glob(f"{self._name}-*{SUFFIX}"):
+                path.unlink(missing_ok=True)
+
+    @property
+    def _name(self) -> str:
+        """The function's name in terms that every file system knows; what tells functions apart is in the digest."""
+        return re.sub(r"\W+", "_", f"{self._function.__module__}_{self._function.__qualname__}")[-100:]
+
+    def _path(self, folder: Path, signature: Any, codegen: Any) -> Path:
+        code, closure = self._function.__code__, self._function.__closure__
+        key = (
+            self._function.__module__,
+            self._function.__qualname__,
+            code.co_firstlineno,
+            code.co_code,
+            None if closure is None else serialize.dumps(tuple(cell.cell_contents for cell in closure)),
+            repr(signature),
+            codegen.magic_tuple(),  # operating system and processor
+            (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__),
+        )
+        return folder / f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}{SUFFIX}"
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The code for a signature, or None."""
+        target_context.refresh()
+        folder = self._folder
+        if folder is None:
+            return None
+        try:
+            content = self._path(folder, sig, target_context.codegen()).read_bytes()
+        except OSError:
+            return None
+        if hashlib.sha256(content[32:]).digest() != content[:32]:
+            return None
+        if folder not in _used:
+            _used.add(folder)
+            with contextlib.suppress(OSError):
+                os.utime(folder)
+        return CompileResult._rebuild(target_context, *pickle.loads(content[32:]))
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for a signature where that is possible."""
+        constants_elsewhere = data.library.has_dynamic_globals or not all(lifted.can_cache for lifted in data.lifted)
+        if self._stamp is None or constants_elsewhere:
+            return
+        folder = self._folder
+        if folder is None:
+            warn_not_kept(None, None)
+            return
+        content = serialize.dumps(data._reduce())
+        try:
+            if not folder.is_dir():
+                folder.mkdir(parents=True, exist_ok=True)
+                for old in _stamps(folder.parent)[KEPT:]:
+                    shutil.rmtree(old, ignore_errors=True)
+            with whole_file(self._path(folder, sig, data.codegen), durable=False) as part:
+                part.write_bytes(hashlib.sha256(content).digest() + content)
+        except OSError as error:
+            warn_not_kept(folder.parent, error)

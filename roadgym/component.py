@@ -1,0 +1,65 @@
+"""Components by name: registries of what a plant is made of, such as `roadgym.ROADS`, and how one's own is added."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar
+
+from .parameters import ParameterError, shown
+
+Component = TypeVar("Component")
+
+
+class Registry(dict[str, type[Component]], Generic[Component]):
+    """Classes of one sort of component by name.
+
+    Args:
+        what: what they are, as messages call it.
+        base: their common class.
+        entries: those that are there from the beginning.
+    """
+
+    def __init__(self, what: str, base: Any, entries: Mapping[str, type[Component]]) -> None:
+        super().__init__(entries)
+        self.what, self.base = what, base
+
+    def register(self, name: str, component: type[Component]) -> None:
+        """Add a component, for use by name in the environment, in theory, in tests and in every command.
+
+        Raises:
+            ParameterError: no class of this sort, whose field ``kind`` is another name, or a name that is taken.
+        """
+        if not (isinstance(component, type) and issubclass(component, self.base) and dataclasses.is_dataclass(component)):
+            raise ParameterError(
+                f"{self.what} {name!r} must be a dataclass that is a {self.base.__name__}, got {shown(component)}"
+            )
+        kind = {field.name: field.default for field in dataclasses.fields(component)}.get("kind")
+        if not isinstance(name, str) or name != kind:
+            raise ParameterError(f"name of the {self.what} must be its kind, {kind!r}, got {shown(name)}")
+        if self.get(name, component) is not component and self[name].__qualname__ != component.__qualname__:
+            raise ParameterError(f"{self.what} {name!r} exists already: {self[name].__module__}.{self[name].__qualname__}")
+        self[name] = component
+
+    def make(self, value: Any) -> Component:
+        """A component from its name, from a mapping with the key "kind" and its parameters, or as it is.
+
+        Raises:
+            ParameterError: unknown kind or parameter, or a value out of range.
+        """
+        if isinstance(value, self.base):
+            return value  # type: ignore[no-any-return]
+        if isinstance(value, str):
+            value = {"kind": value}
+        if not isinstance(value, Mapping):
+            raise ParameterError(f"{self.what} must be a name, a mapping or a {self.base.__name__}, got {shown(value)}")
+        parameters = dict(value)
+        kind = parameters.pop("kind", None)
+        if not isinstance(kind, str) or kind not in self:
+            raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join(self)}")
+        component = self[kind]
+        allowed = [field.name for field in dataclasses.fields(component) if field.init]  # type: ignore[arg-type]
+        for name in parameters:
+            if name not in allowed:
+                raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}; known: {', '.join(allowed)}")
+        return component(**parameters)
