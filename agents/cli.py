@@ -405,7 +405,8 @@ def run_train(chosen: argparse.Namespace) -> None:
 def run_tune(chosen: argparse.Namespace) -> None:
     """``roadgym tune``."""
     from .progress import tuning_progress
-    from .training import load_hyperparameters, make_output
+    from .records import make_output
+    from .training import load_hyperparameters
     from .tuning import tune, write_best
 
     if chosen.output:
@@ -488,7 +489,8 @@ def run_compare(chosen: argparse.Namespace) -> None:
 
     from .comparison import AGENT, compare, group_agents, table, write
     from .progress import work_progress
-    from .training import LOCK, load, locked, make_folder
+    from .records import LOCK, locked, make_folder
+    from .training import load
 
     if chosen.agent:
         _refuse_environment(chosen)
@@ -585,7 +587,7 @@ def run_certify(chosen: argparse.Namespace) -> int:
 def run_benchmark(chosen: argparse.Namespace) -> None:
     """``roadgym benchmark``."""
     from .benchmark import CASES, draw_scaling, scaling, scaling_table, table
-    from .training import make_output, versions, write_atomically
+    from .records import make_output, versions, write_atomically
 
     if chosen.output:
         path = make_output(chosen.output)  # before the work
@@ -667,7 +669,8 @@ def run_cache(chosen: argparse.Namespace) -> None:
 
 def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any], seed: int) -> bool:
     """Does the folder hold an agent that this very command began? Then it is resumed; any other is an error of training."""
-    from .training import DESCRIPTION, load, load_hyperparameters, plain
+    from .records import plain
+    from .training import DESCRIPTION, load, load_hyperparameters
 
     if not (folder / DESCRIPTION).exists():
         return False

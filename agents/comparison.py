@@ -25,7 +25,8 @@ from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controll
 from .evaluation import Evaluation, OperatingPoint, Predictor, evaluate
 from .features import has_lookahead
 from .names import csv_cell, name_folders
-from .training import Agent, make_folder, plain, versions, write_atomically
+from .records import make_folder, plain, versions, write_atomically
+from .training import Agent
 
 RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook", "one_step_lookahead", "optimal_feedback")
 CONSTANT = ("analytic_optimum", "d_min", "d_max")

@@ -24,7 +24,7 @@ from roadgym.vector import QuarterCarVectorEnv
 from .controllers import OptimalFeedback, optimum, road_at, theoretical_cost
 from .evaluation import OperatingPoint, Predictor, drive, evaluate, observed_by
 from .names import figure_label, file_names
-from .training import stream_seed
+from .records import Purpose, stream_seed
 
 if TYPE_CHECKING:
     from .comparison import Comparison
@@ -175,7 +175,7 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
     for column, speed in enumerate(shown):
         envs = QuarterCarVectorEnv(number, max_episode_steps=None, **environment)
         options = {"speed": speed} | ({"bandwidth": bandwidth} if bandwidth else {})
-        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], 2), options)
+        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], Purpose.PICTURE), options)
         seen, chosen = [], []
         for observations, damping, _, _ in itertools.islice(steps, skipped, skipped + steps_shown):
             seen.append(observations)

@@ -10,19 +10,16 @@ A model file is read with pickle: load only agents that you trust.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import datetime
 import importlib
-import importlib.metadata
 import itertools
 import json
 import math
 import os
-import platform
 import re
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +43,15 @@ from roadgym.task import Task, make_task
 from .advantage import has_advantage
 from .advantage_reward import AdvantageReward
 from .errors import AgentError
+from .records import LOCK as LOCK
+from .records import locked as locked
+from .records import make_folder as make_folder
+from .records import make_output as make_output
+from .records import plain as plain
+from .records import stream_seed as stream_seed
+from .records import training_seed as training_seed
+from .records import versions as versions
+from .records import write_atomically as write_atomically
 from .vec_env import QuarterCarVecEnv, Sight, damping_from_action
 
 ALGORITHMS = {
@@ -71,7 +77,6 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
 FORMAT = 1
 DESCRIPTION = "agent.json"
 MODEL = re.compile(r"model-\d+(-\d+)?\.zip")
-LOCK = ".lock"
 CONTENT: dict[str, type | tuple[type, ...]] = {  # what agent.json must hold to be loaded, resumed and reported
     "algorithm": str,
     "environment": dict,
@@ -87,77 +92,7 @@ STATISTICS = ("mean", "var", "count")  # of the rewards that are scaled
 LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
 MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
-PACKAGES = ("roadgym", "gymnasium", "stable-baselines3", "torch", "numpy", "numba", "scipy")
 DEFAULT_ENVIRONMENT: dict[str, Any] = {"road": "multiplicative", "speed": (0.5, 3.2), "bandwidth": (0.05, 0.5)}
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        found[package] = importlib.metadata.version(package)
-    return found
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a whole text file or leave what is there."""
-    with whole_file(path) as part:
-        part.write_text(text, encoding="utf-8")
-
-
-def make_folder(folder: str | Path) -> Path:
-    """``folder`` as a directory that exists and can be written.
-
-    Raises:
-        AgentError: it cannot.
-    """
-    try:
-        return files.make_folder(folder)
-    except OSError as error:
-        raise AgentError(f"cannot write to the folder {str(folder)!r}: {error.strerror or error}") from None
-
-
-def make_output(file: str | Path) -> Path:
-    """``file`` as a path that can be written, in a folder that exists.
-
-    Raises:
-        AgentError: it cannot.
-    """
-    path = Path(file)
-    try:
-        files.make_folder(path.parent)
-        files.check_file(path)
-    except OSError as error:
-        raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
-    return path
-
-
-@contextlib.contextmanager
-def locked(path: Path, work: str) -> Iterator[None]:
-    """Hold the lock file ``path`` while ``work`` is done beside it.
-
-    Raises:
-        AgentError: another process, or another thread of this one, holds it.
-    """
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(files.locked(path))
-        except BlockingIOError:
-            raise AgentError(f"{str(path.parent)!r} is in use by another {work}") from None
-        except OSError as error:
-            raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
-        yield
-
-
-def plain(value: Any) -> Any:
-    """``value`` in terms of what JSON knows; roads and speed noises as the mappings that make them again."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = dataclasses.asdict(value)
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
@@ -269,16 +204,6 @@ def make_model(
         raise ParameterError(f"hyperparameters of {algorithm}: {' '.join(str(error).split())}") from None
     envs.seed(training_seed(seed, 0))
     return model
-
-
-def training_seed(seed: int, timesteps: int) -> int:
-    """Base seed of the training environments from ``timesteps`` on; no two seeds of training or evaluation share a road."""
-    return stream_seed(seed, 0, timesteps)
-
-
-def stream_seed(*entropy: int) -> int:
-    """A base seed for a batch of environments, 63 bits, from integers that tell its purpose."""
-    return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def training_reward(hyperparameters: Mapping[str, Any], task: Task) -> str:
