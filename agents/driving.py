@@ -19,12 +19,12 @@ from roadgym.files import check_file, whole_file
 from roadgym.parameters import ParameterError, positive, whole
 from roadgym.task import Task, make_task
 
+from .agent import Agent, load
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
 from .evaluation import Predictor, observed_by
 from .names import printable, shortened
 from .records import Purpose, stream_seed
-from .training import Agent, load
 
 Frame = npt.NDArray[np.uint8]
 Report = Callable[[str, int, int], None]

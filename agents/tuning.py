@@ -26,11 +26,12 @@ import roadgym
 from roadgym.parameters import ParameterError, whole
 from roadgym.task import Task, make_task
 
-from .controllers import optimum
+from .agent import DEFAULT_ENVIRONMENT, Agent, algorithm_class
 from .errors import AgentError
 from .evaluation import evaluate, make_points
 from .records import Purpose, locked, make_folder, make_output, plain, stream_seed, write_atomically
-from .training import DEFAULT_ENVIRONMENT, Agent, algorithm_class, load_hyperparameters, make_model
+from .theory import optimum
+from .training import load_hyperparameters, make_model
 
 if TYPE_CHECKING:
     import optuna

@@ -17,7 +17,7 @@ def test_seeds_of_every_purpose_stay_as_they_are():
     assert len({stream_seed(seed, purpose, step) for seed in range(20) for purpose in roads for step in range(20)}) == 1600
 
 
-@pytest.mark.parametrize("module", ["evaluation", "controllers"])
+@pytest.mark.parametrize("module", ["evaluation", "controllers", "driving", "comparison", "figures", "report"])
 def test_what_does_not_learn_loads_no_learning_library(module):
     code = f"import sys, agents.{module}; print([name for name in ('torch', 'stable_baselines3') if name in sys.modules])"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
