@@ -22,3 +22,16 @@ def test_what_does_not_learn_loads_no_learning_library(module):
     code = f"import sys, agents.{module}; print([name for name in ('torch', 'stable_baselines3') if name in sys.modules])"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said == "[]\n"
+
+
+def test_classical_controllers_need_no_learning_library_on_the_command_line():
+    code = "import sys, agents.cli; agents.cli.main(sys.argv[1:]); print('torch' in sys.modules)"
+    asked = ["evaluate", "--controller", "skyhook", "--speeds", "9"]
+    done = subprocess.run([sys.executable, "-c", code, *asked], capture_output=True, text=True, check=True)
+    assert "speed must lie within the environment's range" in done.stderr
+    assert done.stdout == "False\n"
+
+
+def test_command_line_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "agents.cli", "cache", "--help"], capture_output=True, text=True, check=True)
+    assert "example: roadgym cache --clear" in done.stdout
