@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -35,3 +37,14 @@ def test_classical_controllers_need_no_learning_library_on_the_command_line():
 def test_command_line_runs_as_a_module():
     done = subprocess.run([sys.executable, "-m", "agents.cli", "cache", "--help"], capture_output=True, text=True, check=True)
     assert "example: roadgym cache --clear" in done.stdout
+
+
+def test_every_package_is_installed():
+    root = Path(__file__).parents[1]
+    listed = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
+    found = {
+        ".".join(file.parent.relative_to(root).parts)
+        for name in ("roadgym", "analysis", "agents")
+        for file in (root / name).rglob("*.py")
+    }
+    assert set(listed) >= found
