@@ -10,25 +10,25 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .agent import Agent as Agent
+    from .agent import load as load
     from .comparison import compare as compare
     from .controllers import CONTROLLERS as CONTROLLERS
     from .controllers import Controller as Controller
     from .controllers import make_controller as make_controller
     from .errors import AgentError as AgentError
     from .evaluation import evaluate as evaluate
-    from .training import Agent as Agent
-    from .training import load as load
     from .training import train as train
     from .tuning import tune as tune
 
 _HOME = {
     "CONTROLLERS": "controllers",
-    "Agent": "training",
+    "Agent": "agent",
     "AgentError": "errors",
     "Controller": "controllers",
     "compare": "comparison",
     "evaluate": "evaluation",
-    "load": "training",
+    "load": "agent",
     "make_controller": "controllers",
     "train": "training",
     "tune": "tuning",

@@ -10,9 +10,10 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from analysis.quadratic import plant_system, value_form
 
+from .actions import damping_from_action
 from .advantage import advantage_forms
-from .operating_grid import NODES, OperatingGrid
-from .vec_env import QuarterCarVecEnv, damping_from_action
+from .theory import NODES, OperatingGrid
+from .vec_env import QuarterCarVecEnv
 
 CHOICES = 4  # damping ratios through which the advantage, smooth in D, is interpolated
 MEMORY = 2000  # steps after which what was paid is forgotten

@@ -24,10 +24,12 @@ import analysis
 from analysis.quadratic import plant_system, regulator_gain
 from roadgym.cache import user_folder
 from roadgym.parameters import ParameterError, number, number_array, shown, single_precision
-from roadgym.roads import Road
 from roadgym.task import OPERATING_POINT, Task
 
 from .advantage import STATE, advantage_forms
+from .theory import optimum as optimum
+from .theory import road_at as road_at
+from .theory import theoretical_cost as theoretical_cost
 
 Observation = npt.NDArray[np.float32]
 Damping = npt.NDArray[np.float32]
@@ -141,36 +143,6 @@ class AnalyticOptimum(Controller):
         if (speed, bandwidth) not in self._known:
             self._known[speed, bandwidth] = float(optimum(self.task, speed, bandwidth).damping)
         return self._known[speed, bandwidth]
-
-
-def road_at(task: Task, bandwidth: float) -> Road:
-    """The task's road at ``bandwidth``, or as it is where it has none (0)."""
-    return task.road.with_bandwidth(bandwidth) if bandwidth else task.road
-
-
-def optimum(task: Task, speed: float, bandwidth: float) -> analysis.Optimum:
-    """Best constant damping of ``task`` by theory at an operating point (m/s, 1; bandwidth 0 where there is none)."""
-    return analysis.optimal_damping(
-        road_at(task, bandwidth),
-        task.speed_noise,
-        speed=speed,
-        natural_frequency=task.car.natural_frequency,
-        weights=task.weights_by_name,
-        bounds=task.damping_range,
-    )
-
-
-def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float) -> float:
-    """Minus the mean reward of a constant damping by theory: the weighted mean squares over E Z^2."""
-    squares = analysis.mean_squares(
-        road_at(task, bandwidth),
-        task.speed_noise,
-        damping=damping,
-        speed=speed,
-        natural_frequency=task.car.natural_frequency,
-    )
-    total = sum(weight * float(getattr(squares, name)) for name, weight in task.weights_by_name.items())
-    return total / task.road.variance
 
 
 class SemiActive(Controller):

@@ -19,11 +19,12 @@ from roadgym.files import check_file, whole_file
 from roadgym.parameters import ParameterError, positive, whole
 from roadgym.task import Task, make_task
 
+from .agent import Agent, load
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
 from .evaluation import Predictor, observed_by
 from .names import printable, shortened
-from .training import Agent, load, stream_seed
+from .records import Purpose, stream_seed
 
 Frame = npt.NDArray[np.uint8]
 Report = Callable[[str, int, int], None]
@@ -105,7 +106,7 @@ def frames(
         seen = {"observation": list(observed_by(driver, task)), "observe_operating_point": False}  # each its own signals
         env = QuarterCarEnv(render_mode="rgb_array", **{**environment, **seen})
         env.render_title = shortened(printable(title))
-        observation, _ = env.reset(seed=stream_seed(seed, 3), options=options)
+        observation, _ = env.reset(seed=stream_seed(seed, Purpose.FILM), options=options)
         cars.append((env, driver, [observation, None]))
     for step in itertools.count():
         share_scales([env.history for env, _, _ in cars if env.history])

@@ -20,7 +20,7 @@ from roadgym.roads import HarmonicRoad
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
-from .training import stream_seed
+from .records import Purpose, stream_seed
 
 FEWEST_EPISODES = 16  # a standard error from fewer is itself uncertain by more than a fifth
 
@@ -209,7 +209,7 @@ def evaluate(
         """Costs, squares and switches, as of `Evaluation`."""
         total, squares, switches = np.zeros(number), np.zeros((len(MEAN_SQUARES), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
-        steps = drive(controller, envs, stream_seed(seed, 1), options)
+        steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options)
         for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
             was_firm, firm = firm, damping[:, 0] > middle
             if step >= skipped:

@@ -1,4 +1,5 @@
-"""What a learned policy sees: the observation, and optionally products of its signals and theory's one-step lookahead.
+"""What a learned policy sees: the observation, and optionally products of its signals and theory's one-step lookahead, of
+the last observation or of a stack of them.
 
 The best damping is an even function of the state: nothing changes when road and car are mirrored, (Y, X, Z, U) ->
 -(Y, X, Z, U). Products of two signals are even; with them alone a policy respects the symmetry exactly, and the switching
@@ -7,17 +8,21 @@ surfaces of classical controllers, such as Y' (Y' - Z') = 0, are planes.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
-from roadgym.parameters import ParameterError
+from roadgym.parameters import ParameterError, shown, whole
 from roadgym.task import OPERATING_POINT, Task
 
 from .advantage import STATE, advantage_forms, has_advantage
-from .operating_grid import NODES, OperatingGrid
+from .theory import NODES, OperatingGrid
+
+Rows = npt.NDArray[np.float32]
 
 FEATURES = ("signals", "products", "lookahead")
 
@@ -115,3 +120,58 @@ class _Lookahead:
             weight = np.abs(1 - i - share[:, 0]) * np.abs(1 - j - share[:, 1])
             forms += weight[:, None, None] * self._table[node[:, 0] + i, node[:, 1] + j]
         return forms
+
+
+class Sight:
+    """What a policy sees of a task: the last observations, and features of them.
+
+    A stack of k observations begins with the newest one; of the k - 1 older ones, newest first, it holds all signals but the
+    operating point, which does not change in an episode. At the start of an episode, the first observation stands for those
+    before it. Features are those of the whole stack: products pair signals of different times too, so that a policy can weigh
+    products of whatever it filters from the past.
+
+    Args:
+        task: the task that is observed.
+        features: kinds of `FEATURES`; None for the observations as they are.
+        frame_stack: number of observations that are seen together.
+
+    Attributes:
+        space: the space of what is seen.
+
+    Raises:
+        ParameterError: an unknown kind of feature, or features that show nothing of the task.
+    """
+
+    def __init__(self, task: Task, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
+        self.frame_stack = whole("frame_stack", frame_stack, of="frame_stack")
+        self._moving = [i for i, name in enumerate(task.signals) if name not in OPERATING_POINT]
+        older = tuple(task.signals[i] for i in self._moving) * (self.frame_stack - 1)
+        stacked = dataclasses.replace(task, signals=task.signals + older)
+        self._width, self._kept = len(task.signals), len(stacked.signals) - len(self._moving)
+        if not (features is None or (isinstance(features, Sequence) and all(isinstance(kind, str) for kind in features))):
+            raise ParameterError(f"features must be a sequence of names or None, got {shown(features)}")
+        self._features = None if features is None else Features(stacked, features)
+        self.space = stacked.observation_space
+        if self._features is not None:
+            if self._features.size == 0:
+                raise ParameterError(f"features must leave something to see of {', '.join(task.signals)}, got {features!r}")
+            self.space = spaces.Box(-np.inf, np.inf, (self._features.size,), np.float32)
+
+    def stack(self, frames: Rows | None, observations: Rows, starts: npt.NDArray[np.bool_] | None) -> Rows | None:
+        """The stack, shape (n, width), with new observations, shape (n, signals), on top; None where only one is seen.
+
+        ``frames`` is the stack before, None for none yet; ``starts`` tells the rows, shape (n,), whose episode begins.
+        """
+        if self.frame_stack == 1:
+            return None
+        fresh = np.concatenate([observations, np.tile(observations[:, self._moving], self.frame_stack - 1)], axis=1)
+        if frames is None:
+            return fresh
+        moved = [observations, frames[:, self._moving], frames[:, self._width : self._kept]]
+        stacked = np.concatenate(moved, axis=1)
+        return stacked if starts is None else np.where(np.asarray(starts)[:, None], fresh, stacked)
+
+    def __call__(self, observations: Rows, frames: Rows | None) -> Rows:
+        """What the policy sees of new observations and the stack that they are on top of, shape (n, size)."""
+        seen = observations if frames is None else frames
+        return seen if self._features is None else self._features(seen)

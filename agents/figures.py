@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,13 +20,12 @@ from roadgym.files import whole_file
 from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
-from .controllers import OptimalFeedback, optimum, road_at, theoretical_cost
+from .controllers import OptimalFeedback
 from .evaluation import OperatingPoint, Predictor, drive, evaluate, observed_by
 from .names import figure_label, file_names
-from .training import stream_seed
-
-if TYPE_CHECKING:
-    from .comparison import Comparison
+from .records import Purpose, stream_seed
+from .results import Comparison, Picture
+from .theory import optimum, road_at, theoretical_cost
 
 # Okabe and Ito's colours, told apart by readers with any colour vision, each with a mark of its own
 STYLES: dict[str, dict[str, Any]] = {
@@ -55,14 +53,6 @@ LABELS = {
 }
 FRONT = (0.1, 0.3, 1.0, 3.0, 10.0)  # factors of the first weight along the front of the optimal feedbacks
 Report = Callable[[str, int, int], None]
-
-
-@dataclasses.dataclass(frozen=True)
-class Picture:
-    """A picture that was written: its file, and what it shows."""
-
-    path: Path
-    caption: str
 
 
 def style(comparison: Comparison, name: str) -> dict[str, Any]:
@@ -175,7 +165,7 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
     for column, speed in enumerate(shown):
         envs = QuarterCarVectorEnv(number, max_episode_steps=None, **environment)
         options = {"speed": speed} | ({"bandwidth": bandwidth} if bandwidth else {})
-        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], 2), options)
+        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], Purpose.PICTURE), options)
         seen, chosen = [], []
         for observations, damping, _, _ in itertools.islice(steps, skipped, skipped + steps_shown):
             seen.append(observations)

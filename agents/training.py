@@ -1,33 +1,16 @@
-"""Training stable-baselines3 agents on the batch environment, and the folder that a trained agent is.
-
-An agent's folder holds ``agent.json`` (what was trained, on what, with what and how far) and the model file that it names.
-Each checkpoint writes a new model file first and then replaces ``agent.json`` in one step, so the folder holds a sound agent at
-every moment, and an interrupted training resumes from the last one. While a training runs it holds a lock in the folder.
-
-A model file is read with pickle: load only agents that you trust.
-"""
+"""Training stable-baselines3 agents on the batch environment, into the folders that `agents.agent` describes."""
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-import datetime
-import importlib
-import importlib.metadata
 import itertools
 import json
-import math
 import os
-import platform
-import re
 import sys
-import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -39,23 +22,72 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import roadgym
 from roadgym import files
-from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
 from .advantage import has_advantage
 from .advantage_reward import AdvantageReward
+from .agent import (
+    ALGORITHMS,
+    CONTENT,
+    DEFAULT_ENVIRONMENT,
+    DESCRIPTION,
+    FORMAT,
+    MODEL,
+    STATISTICS,
+    Agent,
+    algorithm_class,
+    load,
+    read_description,
+    save,
+)
 from .errors import AgentError
-from .vec_env import QuarterCarVecEnv, Sight, damping_from_action
+from .records import (
+    LOCK,
+    PACKAGES,
+    locked,
+    make_folder,
+    make_output,
+    plain,
+    stream_seed,
+    training_seed,
+    versions,
+    write_atomically,
+)
+from .vec_env import QuarterCarVecEnv
 
-ALGORITHMS = {
-    "ppo": "stable_baselines3.PPO",
-    "sac": "stable_baselines3.SAC",
-    "td3": "stable_baselines3.TD3",
-    "a2c": "stable_baselines3.A2C",
-    "dqn": "stable_baselines3.DQN",
-    "recurrent_ppo": "sb3_contrib.RecurrentPPO",
-}
+__all__ = [  # with names that live in `agents.agent` and `agents.records`
+    "ALGORITHMS",
+    "CONTENT",
+    "DEFAULT_ENVIRONMENT",
+    "DESCRIPTION",
+    "FORMAT",
+    "HYPERPARAMETERS",
+    "LOCK",
+    "MODEL",
+    "OWN_HYPERPARAMETERS",
+    "PACKAGES",
+    "STATISTICS",
+    "Agent",
+    "AgentError",
+    "algorithm_class",
+    "load",
+    "load_hyperparameters",
+    "locked",
+    "make_envs",
+    "make_folder",
+    "make_model",
+    "make_output",
+    "plain",
+    "save",
+    "silent",
+    "stream_seed",
+    "train",
+    "training_reward",
+    "training_seed",
+    "versions",
+    "write_atomically",
+]
 OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "n_envs",
     "n_timesteps",
@@ -68,113 +100,9 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "noise_std",
     "training_reward",
 )
-FORMAT = 1
-DESCRIPTION = "agent.json"
-MODEL = re.compile(r"model-\d+(-\d+)?\.zip")
-LOCK = ".lock"
-CONTENT: dict[str, type | tuple[type, ...]] = {  # what agent.json must hold to be loaded, resumed and reported
-    "algorithm": str,
-    "environment": dict,
-    "hyperparameters": dict,
-    "seed": int,
-    "command": str,
-    "model": str,
-    "timesteps": int,
-    "reward_statistics": (dict, type(None)),
-    "saved": str,
-}
-STATISTICS = ("mean", "var", "count")  # of the rewards that are scaled
 LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
 MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
-PACKAGES = ("roadgym", "gymnasium", "stable-baselines3", "torch", "numpy", "numba", "scipy")
-DEFAULT_ENVIRONMENT: dict[str, Any] = {"road": "multiplicative", "speed": (0.5, 3.2), "bandwidth": (0.05, 0.5)}
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        found[package] = importlib.metadata.version(package)
-    return found
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a whole text file or leave what is there."""
-    with whole_file(path) as part:
-        part.write_text(text, encoding="utf-8")
-
-
-def make_folder(folder: str | Path) -> Path:
-    """``folder`` as a directory that exists and can be written.
-
-    Raises:
-        AgentError: it cannot.
-    """
-    try:
-        return files.make_folder(folder)
-    except OSError as error:
-        raise AgentError(f"cannot write to the folder {str(folder)!r}: {error.strerror or error}") from None
-
-
-def make_output(file: str | Path) -> Path:
-    """``file`` as a path that can be written, in a folder that exists.
-
-    Raises:
-        AgentError: it cannot.
-    """
-    path = Path(file)
-    try:
-        files.make_folder(path.parent)
-        files.check_file(path)
-    except OSError as error:
-        raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
-    return path
-
-
-@contextlib.contextmanager
-def locked(path: Path, work: str) -> Iterator[None]:
-    """Hold the lock file ``path`` while ``work`` is done beside it.
-
-    Raises:
-        AgentError: another process, or another thread of this one, holds it.
-    """
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(files.locked(path))
-        except BlockingIOError:
-            raise AgentError(f"{str(path.parent)!r} is in use by another {work}") from None
-        except OSError as error:
-            raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
-        yield
-
-
-def plain(value: Any) -> Any:
-    """``value`` in terms of what JSON knows; roads and speed noises as the mappings that make them again."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = dataclasses.asdict(value)
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
-    """The class of ``algorithm``, a key of `ALGORITHMS`.
-
-    Raises:
-        ParameterError: an unknown algorithm.
-        AgentError: its package is not installed.
-    """
-    if algorithm not in ALGORITHMS:
-        raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
-    module, _, name = ALGORITHMS[algorithm].partition(".")
-    try:
-        found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError:
-        raise AgentError(f"{algorithm} needs the package {module}: pip install 'roadgym[recurrent]'") from None
-    return found
 
 
 def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict[str, Any]:
@@ -271,16 +199,6 @@ def make_model(
     return model
 
 
-def training_seed(seed: int, timesteps: int) -> int:
-    """Base seed of the training environments from ``timesteps`` on; no two seeds of training or evaluation share a road."""
-    return stream_seed(seed, 0, timesteps)
-
-
-def stream_seed(*entropy: int) -> int:
-    """A base seed for a batch of environments, 63 bits, from integers that tell its purpose."""
-    return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
 def training_reward(hyperparameters: Mapping[str, Any], task: Task) -> str:
     """What is learned from: "cost", or "advantage" where the hyperparameters ask for it and theory knows it on this plant.
 
@@ -315,90 +233,6 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
     )
 
 
-class Agent:
-    """A trained agent: like every controller it answers observations with damping ratios.
-
-    Attributes:
-        model: the stable-baselines3 model.
-        description: the content of agent.json.
-        task: the task it was trained on.
-    """
-
-    def __init__(self, model: BaseAlgorithm, description: Mapping[str, Any], task: Task) -> None:
-        self.model = model
-        self.description = description
-        self.task = task
-        hyperparameters = description["hyperparameters"]
-        self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
-        self.damping_levels = hyperparameters.get("damping_levels")
-
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: npt.NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[npt.NDArray[np.float32], Any]:
-        """(D, state), D of shape (n, 1) for observations of shape (n, signals), or (1,) for one of shape (signals,).
-
-        The state is what the agent remembers: the observations that it stacks and the state of a recurrent network; None for
-        an agent that does neither. Hand it back with the next observations; rows where ``episode_start`` is true forget.
-        """
-        rows = np.atleast_2d(observation)
-        frames, memory = (None, None) if state is None else state
-        frames = self.sight.stack(frames, rows, episode_start)
-        action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
-        damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
-        remembered = None if frames is None and memory is None else (frames, memory)
-        return damping.reshape((*observation.shape[:-1], 1)), remembered
-
-
-def load(folder: str | Path) -> Agent:
-    """The agent in ``folder``.
-
-    Raises:
-        AgentError: the folder holds no agent, or a damaged one.
-    """
-    path = Path(folder)
-    description = _read_description(path)
-    torch.set_num_threads(1)  # as in training
-    try:
-        task = make_task(**description["environment"])
-        model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")
-        agent = Agent(model, description, task)
-        seen, offered = model.observation_space.shape, agent.sight.space.shape
-        if seen != offered:
-            raise AgentError(f"its model sees {seen}, its environment offers {offered}")
-    except Exception as error:  # unpickling damaged files can raise anything
-        raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
-    return agent
-
-
-def _read_description(path: Path) -> dict[str, Any]:
-    if not path.is_dir():
-        raise AgentError(f"no agent in {str(path)!r}: no such folder")
-    try:
-        description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise AgentError(f"no agent in {str(path)!r}: it has no {DESCRIPTION}") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise AgentError(f"cannot read the agent in {str(path)!r}: {error}") from None
-    if not isinstance(description, dict) or description.get("format") != FORMAT:
-        raise AgentError(f"no agent in {str(path)!r}: its {DESCRIPTION} is not of format {FORMAT}")
-    for name, kind in CONTENT.items():
-        if name not in description or not isinstance(description[name], kind):
-            raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound {name!r}")
-    statistics = description["reward_statistics"]
-    if statistics is not None and not all(
-        isinstance(statistics.get(key), (int, float)) and math.isfinite(statistics[key]) for key in STATISTICS
-    ):
-        raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'reward_statistics'")
-    model = path / description["model"]
-    if not MODEL.fullmatch(description["model"]) or not zipfile.is_zipfile(model):
-        raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name!r} is missing or not a model file")
-    return description
-
-
 class _Checkpoint(BaseCallback):
     """Saves the agent every ``interval`` timesteps and reports progress."""
 
@@ -422,37 +256,6 @@ class _Checkpoint(BaseCallback):
         if not episodes:
             return None
         return float(np.mean([episode["r"] / episode["l"] for episode in episodes]))
-
-
-def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> None:
-    """Write the model under a new name, then make agent.json name it, then drop the model that it named before.
-
-    Raises:
-        AgentError: it cannot be written; the agent that was there stays.
-    """
-    before = None
-    with contextlib.suppress(AgentError):
-        before = _read_description(folder)["model"]
-    stem = f"model-{model.num_timesteps}"
-    names = (f"{stem}.zip" if number == 0 else f"{stem}-{number}.zip" for number in itertools.count())
-    name = next(name for name in names if name == before or not os.path.lexists(folder / name))  # nobody else's is touched
-    envs = model.get_vec_normalize_env()
-    spread = None if envs is None else {key: float(getattr(envs.ret_rms, key)) for key in STATISTICS}
-    content = {**description, "model": name, "timesteps": model.num_timesteps, "reward_statistics": spread}
-    content["saved"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    try:
-        # all is on the disk before the two files take their places, one right after the other: who is killed between them
-        # leaves a model that nobody names
-        with whole_file(folder / DESCRIPTION, durable=False) as text, whole_file(folder / name, durable=False) as part:
-            text.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-            with part.open("wb") as file:
-                model.save(file)
-            files.sync(text)
-            files.sync(part)
-        if before not in (None, name):
-            (folder / before).unlink(missing_ok=True)
-    except OSError as error:
-        raise AgentError(f"cannot save the agent in {str(folder)!r}: {error.strerror or error}") from None
 
 
 def silent(done: int, total: int, reward: float | None) -> None:
@@ -497,7 +300,7 @@ def train(
     path = Path(folder)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     if resume:
-        description = _read_description(path)
+        description = read_description(path)
     else:
         _refuse_agent(path)
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
@@ -519,7 +322,7 @@ def train(
     with locked(path / LOCK, "training"):
         files.remove_parts(path)
         if resume:
-            description = _read_description(path)  # another training may have gone on with it
+            description = read_description(path)  # another training may have gone on with it
             total = _total(description["hyperparameters"], timesteps)
             model = _resumed(path, description, tensorboard)
         else:

@@ -26,22 +26,12 @@ import roadgym
 from roadgym.parameters import ParameterError, whole
 from roadgym.task import Task, make_task
 
-from .controllers import optimum
+from .agent import DEFAULT_ENVIRONMENT, Agent, algorithm_class
 from .errors import AgentError
 from .evaluation import evaluate, make_points
-from .training import (
-    DEFAULT_ENVIRONMENT,
-    Agent,
-    algorithm_class,
-    load_hyperparameters,
-    locked,
-    make_folder,
-    make_model,
-    make_output,
-    plain,
-    stream_seed,
-    write_atomically,
-)
+from .records import Purpose, locked, make_folder, make_output, plain, stream_seed, write_atomically
+from .theory import optimum
+from .training import load_hyperparameters, make_model
 
 if TYPE_CHECKING:
     import optuna
@@ -146,7 +136,7 @@ def tune(
         study = _open(optuna, Path(storage), asked)
         while (finished := _finished(study)) < trials:
             # drawn from the number of trials that count, so that an interruption changes nothing
-            study.sampler = optuna.samplers.TPESampler(seed=stream_seed(seed, 3, finished) % 2**32)
+            study.sampler = optuna.samplers.TPESampler(seed=stream_seed(seed, Purpose.SAMPLER, finished) % 2**32)
             trial = study.ask()
             chosen = draw(trial, algorithm, base)
             trial.set_user_attr("hyperparameters", chosen)
@@ -306,7 +296,7 @@ class _Objective(BaseCallback):
             bandwidths=bandwidths,
             episodes=EPISODES,
             duration=DURATION / self.task.car.natural_frequency,
-            seed=stream_seed(self.seed, 2),  # far from every seed that a comparison is given
+            seed=stream_seed(self.seed, Purpose.SEARCH),  # far from every seed that a comparison is given
         )["agent"]
         best = [optimum(self.task, p.speed, p.bandwidth).cost for p in make_points(self.task, speeds, bandwidths)]
         return float(np.mean(result.mean / np.array(best)))

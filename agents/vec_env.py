@@ -2,109 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
-from roadgym.parameters import ParameterError, number_array, shown, whole
-from roadgym.task import OPERATING_POINT, Task, TaskParameters
+from roadgym.parameters import ParameterError, shown, whole
+from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
 
-from .features import Features
-
-Rows = npt.NDArray[np.float32]
-
-
-def action_space(levels: int | None) -> spaces.Box | spaces.Discrete:
-    """What a policy answers with: a number in [-1, 1], or one of ``levels``."""
-    return spaces.Box(-1.0, 1.0, (1,), np.float32) if levels is None else spaces.Discrete(levels)
-
-
-def damping_from_action(
-    action: npt.NDArray[Any], damping_range: tuple[float, float], levels: int | None = None
-) -> npt.NDArray[np.float32]:
-    """The damping ratio D, shape (n, 1) from actions of that shape, by the affine map of [-1, 1] onto ``damping_range``.
-
-    Args:
-        action: in [-1, 1], any shape, which the result keeps; with ``levels``, one of 0, ..., levels - 1, shape (n,), spread
-            equally over [-1, 1].
-        damping_range: the softest and the firmest damping, 1.
-        levels: number of levels of a discrete action.
-
-    Raises:
-        ParameterError: actions that are not finite, or levels that do not exist.
-    """
-    low, high = damping_range
-    given = number_array("action", action)
-    if levels is not None:
-        if given.ndim != 1 or not np.all((given >= 0) & (given < levels) & (given == np.floor(given))):
-            raise ParameterError(f"action must be integers from 0 to {levels - 1}, shape (n,), got {shown(action)}")
-        values = given.astype(np.float32)[:, None] * np.float32(2 / (levels - 1)) - 1
-    else:
-        values = np.clip(given, -1e6, 1e6).astype(np.float32)  # it saturates at the range in any case
-    return np.asarray(low + (values + 1) * (0.5 * (high - low)), np.float32)
-
-
-class Sight:
-    """What a policy sees of a task: the last observations, and features of them.
-
-    A stack of k observations begins with the newest one; of the k - 1 older ones, newest first, it holds all signals but the
-    operating point, which does not change in an episode. At the start of an episode, the first observation stands for those
-    before it. Features are those of the whole stack: products pair signals of different times too, so that a policy can weigh
-    products of whatever it filters from the past.
-
-    Args:
-        task: the task that is observed.
-        features: kinds of `agents.features.FEATURES`; None for the observations as they are.
-        frame_stack: number of observations that are seen together.
-
-    Attributes:
-        space: the space of what is seen.
-
-    Raises:
-        ParameterError: an unknown kind of feature, or features that show nothing of the task.
-    """
-
-    def __init__(self, task: Task, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
-        self.frame_stack = whole("frame_stack", frame_stack, of="frame_stack")
-        self._moving = [i for i, name in enumerate(task.signals) if name not in OPERATING_POINT]
-        older = tuple(task.signals[i] for i in self._moving) * (self.frame_stack - 1)
-        stacked = dataclasses.replace(task, signals=task.signals + older)
-        self._width, self._kept = len(task.signals), len(stacked.signals) - len(self._moving)
-        if not (features is None or (isinstance(features, Sequence) and all(isinstance(kind, str) for kind in features))):
-            raise ParameterError(f"features must be a sequence of names or None, got {shown(features)}")
-        self._features = None if features is None else Features(stacked, features)
-        self.space = stacked.observation_space
-        if self._features is not None:
-            if self._features.size == 0:
-                raise ParameterError(f"features must leave something to see of {', '.join(task.signals)}, got {features!r}")
-            self.space = spaces.Box(-np.inf, np.inf, (self._features.size,), np.float32)
-
-    def stack(self, frames: Rows | None, observations: Rows, starts: npt.NDArray[np.bool_] | None) -> Rows | None:
-        """The stack, shape (n, width), with new observations, shape (n, signals), on top; None where only one is seen.
-
-        ``frames`` is the stack before, None for none yet; ``starts`` tells the rows, shape (n,), whose episode begins.
-        """
-        if self.frame_stack == 1:
-            return None
-        fresh = np.concatenate([observations, np.tile(observations[:, self._moving], self.frame_stack - 1)], axis=1)
-        if frames is None:
-            return fresh
-        moved = [observations, frames[:, self._moving], frames[:, self._width : self._kept]]
-        stacked = np.concatenate(moved, axis=1)
-        return stacked if starts is None else np.where(np.asarray(starts)[:, None], fresh, stacked)
-
-    def __call__(self, observations: Rows, frames: Rows | None) -> Rows:
-        """What the policy sees of new observations and the stack that they are on top of, shape (n, size)."""
-        seen = observations if frames is None else frames
-        return seen if self._features is None else self._features(seen)
+from .actions import action_space
+from .actions import damping_from_action as damping_from_action
+from .features import Rows
+from .features import Sight as Sight
 
 
 class QuarterCarVecEnv(VecEnv):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
 from unittest import mock
 
 from docutils import nodes
@@ -18,7 +19,8 @@ class Commands(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """The sections."""
-        self.env.note_dependency(cli.__file__)
+        for file in Path(cli.__file__).parent.glob("*.py"):
+            self.env.note_dependency(str(file))
         actions = cli.make_parser()._actions
         (commands,) = (action for action in actions if isinstance(action, argparse._SubParsersAction))
         sections: list[nodes.Node] = []

@@ -18,7 +18,7 @@ from sphinx.application import Sphinx
 import analysis
 import roadgym
 from agents.figures import save_figure
-from agents.training import write_atomically
+from agents.records import write_atomically
 from analysis import errata, explorer, figures
 
 ROOT = Path(__file__).parents[2]

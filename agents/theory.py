@@ -1,15 +1,45 @@
-"""The best constant dampings on a grid of operating points."""
+"""What theory says of constant dampings on a task: the cost of any, the best at an operating point and on a grid."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
+import analysis
+from roadgym.roads import Road
 from roadgym.task import Task
 
-from .controllers import optimum
-
 NODES = 17  # over the speed, and over the bandwidth
+
+
+def road_at(task: Task, bandwidth: float) -> Road:
+    """The task's road at ``bandwidth``, or as it is where it has none (0)."""
+    return task.road.with_bandwidth(bandwidth) if bandwidth else task.road
+
+
+def optimum(task: Task, speed: float, bandwidth: float) -> analysis.Optimum:
+    """Best constant damping of ``task`` by theory at an operating point (m/s, 1; bandwidth 0 where there is none)."""
+    return analysis.optimal_damping(
+        road_at(task, bandwidth),
+        task.speed_noise,
+        speed=speed,
+        natural_frequency=task.car.natural_frequency,
+        weights=task.weights_by_name,
+        bounds=task.damping_range,
+    )
+
+
+def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float) -> float:
+    """Minus the mean reward of a constant damping by theory: the weighted mean squares over E Z^2."""
+    squares = analysis.mean_squares(
+        road_at(task, bandwidth),
+        task.speed_noise,
+        damping=damping,
+        speed=speed,
+        natural_frequency=task.car.natural_frequency,
+    )
+    total = sum(weight * float(getattr(squares, name)) for name, weight in task.weights_by_name.items())
+    return total / task.road.variance
 
 
 class OperatingGrid:

@@ -1,0 +1,203 @@
+"""An agent that was trained: how it drives, and the folder that it is.
+
+An agent's folder holds ``agent.json`` (what was trained, on what, with what and how far) and the model file that it names.
+Each checkpoint writes a new model file first and then replaces ``agent.json`` in one step, so the folder holds a sound agent at
+every moment, and an interrupted training resumes from the last one. While a training runs it holds a lock in the folder.
+
+A model file is read with pickle: load only agents that you trust. This module loads torch and stable-baselines3 with the first
+agent, not before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import importlib
+import itertools
+import json
+import math
+import os
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym import files
+from roadgym.files import whole_file
+from roadgym.parameters import ParameterError
+from roadgym.task import Task, make_task
+
+from .actions import damping_from_action
+from .errors import AgentError
+from .features import Sight
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+ALGORITHMS = {
+    "ppo": "stable_baselines3.PPO",
+    "sac": "stable_baselines3.SAC",
+    "td3": "stable_baselines3.TD3",
+    "a2c": "stable_baselines3.A2C",
+    "dqn": "stable_baselines3.DQN",
+    "recurrent_ppo": "sb3_contrib.RecurrentPPO",
+}
+FORMAT = 1
+DESCRIPTION = "agent.json"
+MODEL = re.compile(r"model-\d+(-\d+)?\.zip")
+CONTENT: dict[str, type | tuple[type, ...]] = {  # what agent.json must hold to be loaded, resumed and reported
+    "algorithm": str,
+    "environment": dict,
+    "hyperparameters": dict,
+    "seed": int,
+    "command": str,
+    "model": str,
+    "timesteps": int,
+    "reward_statistics": (dict, type(None)),
+    "saved": str,
+}
+STATISTICS = ("mean", "var", "count")  # of the rewards that are scaled
+DEFAULT_ENVIRONMENT: dict[str, Any] = {"road": "multiplicative", "speed": (0.5, 3.2), "bandwidth": (0.05, 0.5)}
+
+
+def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
+    """The class of ``algorithm``, a key of `ALGORITHMS`.
+
+    Raises:
+        ParameterError: an unknown algorithm.
+        AgentError: its package is not installed.
+    """
+    if algorithm not in ALGORITHMS:
+        raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
+    module, _, name = ALGORITHMS[algorithm].partition(".")
+    try:
+        found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError:
+        raise AgentError(f"{algorithm} needs the package {module}: pip install 'roadgym[recurrent]'") from None
+    return found
+
+
+class Agent:
+    """A trained agent: like every controller it answers observations with damping ratios.
+
+    Attributes:
+        model: the stable-baselines3 model.
+        description: the content of agent.json.
+        task: the task it was trained on.
+    """
+
+    def __init__(self, model: BaseAlgorithm, description: Mapping[str, Any], task: Task) -> None:
+        self.model = model
+        self.description = description
+        self.task = task
+        hyperparameters = description["hyperparameters"]
+        self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
+        self.damping_levels = hyperparameters.get("damping_levels")
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """(D, state), D of shape (n, 1) for observations of shape (n, signals), or (1,) for one of shape (signals,).
+
+        The state is what the agent remembers: the observations that it stacks and the state of a recurrent network; None for
+        an agent that does neither. Hand it back with the next observations; rows where ``episode_start`` is true forget.
+        """
+        rows = np.atleast_2d(observation)
+        frames, memory = (None, None) if state is None else state
+        frames = self.sight.stack(frames, rows, episode_start)
+        action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
+        damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
+        remembered = None if frames is None and memory is None else (frames, memory)
+        return damping.reshape((*observation.shape[:-1], 1)), remembered
+
+
+def load(folder: str | Path) -> Agent:
+    """The agent in ``folder``.
+
+    Raises:
+        AgentError: the folder holds no agent, or a damaged one.
+    """
+    path = Path(folder)
+    description = read_description(path)
+    import torch
+
+    torch.set_num_threads(1)  # as in training
+    try:
+        task = make_task(**description["environment"])
+        model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")
+        agent = Agent(model, description, task)
+        seen, offered = model.observation_space.shape, agent.sight.space.shape
+        if seen != offered:
+            raise AgentError(f"its model sees {seen}, its environment offers {offered}")
+    except Exception as error:  # unpickling damaged files can raise anything
+        raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
+    return agent
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """The content of the agent.json in a folder, checked.
+
+    Raises:
+        AgentError: the folder holds no agent, or a damaged one.
+    """
+    if not path.is_dir():
+        raise AgentError(f"no agent in {str(path)!r}: no such folder")
+    try:
+        description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise AgentError(f"no agent in {str(path)!r}: it has no {DESCRIPTION}") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise AgentError(f"cannot read the agent in {str(path)!r}: {error}") from None
+    if not isinstance(description, dict) or description.get("format") != FORMAT:
+        raise AgentError(f"no agent in {str(path)!r}: its {DESCRIPTION} is not of format {FORMAT}")
+    for name, kind in CONTENT.items():
+        if name not in description or not isinstance(description[name], kind):
+            raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound {name!r}")
+    statistics = description["reward_statistics"]
+    if statistics is not None and not all(
+        isinstance(statistics.get(key), (int, float)) and math.isfinite(statistics[key]) for key in STATISTICS
+    ):
+        raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'reward_statistics'")
+    model = path / description["model"]
+    if not MODEL.fullmatch(description["model"]) or not zipfile.is_zipfile(model):
+        raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name!r} is missing or not a model file")
+    return description
+
+
+def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> None:
+    """Write the model under a new name, then make agent.json name it, then drop the model that it named before.
+
+    Raises:
+        AgentError: it cannot be written; the agent that was there stays.
+    """
+    before = None
+    with contextlib.suppress(AgentError):
+        before = read_description(folder)["model"]
+    stem = f"model-{model.num_timesteps}"
+    names = (f"{stem}.zip" if number == 0 else f"{stem}-{number}.zip" for number in itertools.count())
+    name = next(name for name in names if name == before or not os.path.lexists(folder / name))  # nobody else's is touched
+    envs = model.get_vec_normalize_env()
+    spread = None if envs is None else {key: float(getattr(envs.ret_rms, key)) for key in STATISTICS}
+    content = {**description, "model": name, "timesteps": model.num_timesteps, "reward_statistics": spread}
+    content["saved"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    try:
+        # all is on the disk before the two files take their places, one right after the other: who is killed between them
+        # leaves a model that nobody names
+        with whole_file(folder / DESCRIPTION, durable=False) as text, whole_file(folder / name, durable=False) as part:
+            text.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+            with part.open("wb") as file:
+                model.save(file)
+            files.sync(text)
+            files.sync(part)
+        if before not in (None, name):
+            (folder / before).unlink(missing_ok=True)
+    except OSError as error:
+        raise AgentError(f"cannot save the agent in {str(folder)!r}: {error.strerror or error}") from None

@@ -1,0 +1,201 @@
+"""The parser: every command with its options."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from roadgym import ROADS, SPEED_NOISES, __version__
+
+from .commands import (
+    run_benchmark,
+    run_cache,
+    run_certify,
+    run_compare,
+    run_drive,
+    run_errata,
+    run_evaluate,
+    run_explore,
+    run_figures,
+    run_train,
+    run_tune,
+)
+from .options import add_environment, add_evaluation, add_training, component, nonempty, weights
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """All commands and their options."""
+    parser = argparse.ArgumentParser(
+        prog="roadgym",
+        description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
+        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, a file that cannot be read or "
+        "written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none "
+        "with NO_COLOR.",
+    )
+    parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    train = _command(commands, "train", run_train, "train an agent into a folder", "roadgym train --output runs/ppo --seed 1")
+    train.add_argument("--output", type=nonempty, required=True, metavar="DIR", help="folder of the agent")
+    train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
+    train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
+    add_training(train)
+    add_environment(train)
+
+    tune = _command(
+        commands,
+        "tune",
+        run_tune,
+        "search for hyperparameters; the same command goes on with a study that was interrupted",
+        "roadgym tune --algorithm ppo --storage study.db --output best.yaml",
+    )
+    tune.add_argument("--storage", type=nonempty, required=True, metavar="FILE", help="SQLite file of the study")
+    tune.add_argument("--trials", type=int, default=20, help="trials in all, those in the file included (%(default)s)")
+    tune.add_argument(
+        "--output", type=nonempty, metavar="FILE", help="write the best as YAML that train --hyperparameters takes"
+    )
+    add_training(tune, checkpoints=False)
+    add_environment(tune)
+
+    evaluate = _command(
+        commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/ppo"
+    )
+    who = evaluate.add_mutually_exclusive_group(required=True)
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
+    evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_evaluation(evaluate, seed=True)
+    add_environment(evaluate)
+
+    compare = _command(
+        commands,
+        "compare",
+        run_compare,
+        "train an agent, then compare it with the analytic optimum and classical controllers over the same noise",
+        "roadgym compare --output results",
+    )
+    compare.add_argument(
+        "--output", type=nonempty, default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)"
+    )
+    compare.add_argument(
+        "--agent",
+        type=nonempty,
+        nargs="+",
+        metavar="DIR",
+        help="folders of trained agents, instead of training; those that differ in the seed alone are one learned controller",
+    )
+    compare.add_argument(
+        "--seeds", type=int, default=1, help="agents to train, each of another seed from --seed on (%(default)s)"
+    )
+    compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    compare.add_argument("--controllers", nargs="+", metavar="NAME", help="classical controllers to compare with")
+    add_training(compare)
+    add_evaluation(compare)
+    add_environment(compare)
+
+    drive = _command(
+        commands,
+        "drive",
+        run_drive,
+        "watch a controller drive, in a window or as a film, alone or beside another one over the very same road",
+        "roadgym drive --controller skyhook --road multiplicative",
+    )
+    who = drive.add_mutually_exclusive_group(required=True)
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
+    drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
+    drive.add_argument(
+        "--output", type=nonempty, metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window"
+    )
+    drive.add_argument(
+        "--seconds", type=float, metavar="S", help="of film, each of 60 control intervals (10; a window until it is closed)"
+    )
+    drive.add_argument("--speed", type=float, metavar="V", help="speed, m/s (drawn from the environment's range)")
+    drive.add_argument("--bandwidth", type=float, metavar="DELTA", help="road bandwidth (drawn from the environment's range)")
+    drive.add_argument("--seed", type=int, default=0, help="seed of the road (%(default)s)")
+    add_environment(drive)
+
+    certify = _command(
+        commands,
+        "certify",
+        run_certify,
+        "drive a plant and compare its law, spectrum and response with the exact ones; exit code 1 if any line fails",
+        "roadgym certify --road gaussian --speed 1.5",
+    )
+    certify.add_argument(
+        "--road", type=component, default="multiplicative", help=f"{', '.join(ROADS)}, or a JSON mapping (%(default)s)"
+    )
+    certify.add_argument(
+        "--speed-noise", type=component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind (none)"
+    )
+    certify.add_argument("--speed", type=float, default=1.0, metavar="V", help="speed, m/s (%(default)s)")
+    certify.add_argument("--damping", type=float, default=0.3, metavar="D", help="damping ratio (%(default)s)")
+    certify.add_argument("--natural-frequency", type=float, default=1.0, metavar="W1", help="of the car, rad/s (%(default)s)")
+    certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s)")
+    certify.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
+    certify.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+    benchmark = _command(
+        commands, "benchmark", run_benchmark, "measure speed side by side with peers", "roadgym benchmark --output speed.json"
+    )
+    benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
+    benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
+    benchmark.add_argument("--json", action="store_true", help="print JSON instead of the tables")
+    benchmark.add_argument(
+        "--output", type=nonempty, metavar="FILE", help="write the results as JSON, and the scaling as a picture beside it"
+    )
+
+    figures = _command(
+        commands, "figures", run_figures, "draw figures 2 to 14 of the paper, with data", "roadgym figures --output figures"
+    )
+    figures.add_argument(
+        "--output", type=nonempty, required=True, metavar="DIR", help="folder of the pictures (PNG) and their data (CSV)"
+    )
+    figures.add_argument("--only", type=int, nargs="+", metavar="N", help="figures to draw (2 to 14)")
+    figures.add_argument("--full", action="store_true", help="simulate Fig. 7 with all the paper's samples (half a minute)")
+
+    explore = _command(
+        commands,
+        "explore",
+        run_explore,
+        "write one page of HTML that shows mean squares, optimum, amplitudes and road laws, live",
+        "roadgym explore --output explorer.html",
+    )
+    explore.add_argument("--output", type=nonempty, required=True, metavar="FILE", help="the page")
+    explore.add_argument("--road", default="multiplicative", help=f"{', '.join(ROADS)} (%(default)s)")
+    explore.add_argument("--speed-noise", default="none", help=f"none, {', '.join(SPEED_NOISES)} (%(default)s)")
+    explore.add_argument(
+        "--value",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "NUMBER"),
+        help="first damping, frequency_ratio, bandwidth, shape, intensity, corner_frequency, damping_min, damping_max",
+    )
+    explore.add_argument("--weights", type=weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
+
+    errata = _command(
+        commands,
+        "errata",
+        run_errata,
+        "show where the paper errs: both formulas, and evidence",
+        "roadgym errata --only forcing",
+    )
+    errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
+    errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+    cache = _command(
+        commands,
+        "cache",
+        run_cache,
+        "tell where compiled code and optimal feedbacks are kept, and how much",
+        "roadgym cache --clear",
+    )
+    cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")
+    return parser
+
+
+def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary, epilog=f"example: {example}")
+    parser.set_defaults(run=run)
+    return parser

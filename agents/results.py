@@ -1,0 +1,296 @@
+"""What a comparison found: rows with gains and gaps, and their confidence intervals."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import t as student
+
+from analysis.response import needs_simulation
+from roadgym.car import MEAN_SQUARES
+from roadgym.task import Task
+
+from .evaluation import Evaluation, OperatingPoint, Predictor
+from .names import csv_cell
+from .theory import optimum, theoretical_cost
+
+CONSTANT = ("analytic_optimum", "d_min", "d_max")
+CONFIDENCE = 0.95
+LEAST_ROOM = 0.02  # of the cost of the best constant damping: a feedback that gains less leaves no gap to close
+
+
+@dataclasses.dataclass(frozen=True)
+class Share:
+    """A ratio of costs with its confidence interval, at the level `CONFIDENCE`."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One controller at one operating point.
+
+    Attributes:
+        controller: its name.
+        point: the operating point.
+        cost, standard_error: mean cost over episodes and training seeds, and its standard error; cost is minus the mean reward,
+            adjusted by control variates where theory is exact (`agents.evaluation`).
+        driven_cost, driven_standard_error: the same as driven, without control variates.
+        theory: what theory predicts, for constant dampings, where there is a closed form; else None.
+        damping: the constant damping ratio, likewise.
+        gain: share of the cost of the best constant damping that is saved.
+        gap_closed: share of the way from the best constant damping to the best known feedback; None where that feedback saves
+            less than `LEAST_ROOM`.
+        switches: damping switches a second.
+        squares: the mean squares over E Z^2 by name.
+    """
+
+    controller: str
+    point: OperatingPoint
+    cost: float
+    standard_error: float
+    driven_cost: float
+    driven_standard_error: float
+    theory: float | None
+    damping: float | None
+    gain: Share
+    gap_closed: Share | None
+    switches: float
+    squares: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class MeanGap:
+    """The share of the gap that a controller closes, averaged over all operating points that have a gap, and what is left out.
+
+    Attributes:
+        closed: mean share, of negative ones too; None where no point has a gap.
+        points: those that it is over.
+        left_out: the points without a gap, where the best known feedback saves less than `LEAST_ROOM`.
+        loss: at those, the mean share of the best constant damping's cost that the controller costs more; None without any.
+        largest_loss, largest_at: the largest one and its point, likewise.
+    """
+
+    closed: Share | None
+    points: tuple[OperatingPoint, ...]
+    left_out: tuple[OperatingPoint, ...]
+    loss: Share | None
+    largest_loss: Share | None
+    largest_at: OperatingPoint | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """All rows, and what made them.
+
+    Attributes:
+        rows: one for each controller and operating point.
+        task: the task, observed in full.
+        agents: the learned controllers, by name; one agent for each training seed.
+        references: the best known feedback at each operating point, by name; None where no feedback was driven.
+        configuration: environment, evaluation, agents and versions, as JSON knows them.
+        mean_gaps: of each learned controller, where a feedback was driven.
+    """
+
+    rows: tuple[Row, ...]
+    task: Task
+    agents: Mapping[str, Sequence[Predictor]]
+    references: tuple[str | None, ...]
+    configuration: dict[str, Any]
+    mean_gaps: Mapping[str, MeanGap] = dataclasses.field(default_factory=dict)
+
+    def row(self, controller: str, point: OperatingPoint) -> Row:
+        """The row of a controller at a point."""
+        return next(row for row in self.rows if row.controller == controller and row.point == point)
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Names of the controllers, in order."""
+        return tuple(dict.fromkeys(row.controller for row in self.rows))
+
+    @property
+    def points(self) -> tuple[OperatingPoint, ...]:
+        """The operating points, in order."""
+        return tuple(dict.fromkeys(row.point for row in self.rows))
+
+    def to_json(self) -> str:
+        """Everything as JSON; what is infinite is null."""
+        content = {
+            "rows": [flat(row) for row in self.rows],
+            "mean_gap_closed": {name: dataclasses.asdict(gap) for name, gap in self.mean_gaps.items()},
+            **self.configuration,
+        }
+        return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+    def to_csv(self) -> str:
+        """The rows as CSV."""
+        rows = [flat(row) for row in self.rows]
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({name: csv_cell(value) for name, value in row.items()} for row in rows)
+        return text.getvalue()
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A picture that was written: its file, and what it shows."""
+
+    path: Path
+    caption: str
+
+
+def flat(row: Row) -> dict[str, Any]:
+    """A row as one mapping of numbers and names."""
+    content: dict[str, Any] = {"controller": row.controller, **dataclasses.asdict(row.point)}
+    for name in ("cost", "standard_error", "driven_cost", "driven_standard_error", "theory", "damping"):
+        content[name] = getattr(row, name)
+    for name in ("gain", "gap_closed"):
+        share = getattr(row, name)
+        for part, label in (("value", name), ("low", f"{name}_low"), ("high", f"{name}_high")):
+            content[label] = None if share is None else getattr(share, part)
+    content["switches"] = row.switches
+    content.update({name: value if math.isfinite(value) else None for name, value in row.squares.items()})
+    return content
+
+
+def constant_damping(task: Task, controller: str, point: OperatingPoint) -> float | None:
+    """The damping ratio that a controller keeps at a point, if theory knows it."""
+    if controller == "d_min":
+        return task.damping_range[0]
+    if controller == "d_max":
+        return task.damping_range[1]
+    if controller == "analytic_optimum":
+        return float(optimum(task, point.speed, point.bandwidth).damping)
+    return None
+
+
+def ratio(
+    numerators: npt.NDArray[np.float64], denominators: npt.NDArray[np.float64], degrees_of_freedom: int | None = None
+) -> Share:
+    """Mean over operating points of ratios of means, with its interval; all training seeds drive over the same noise.
+
+    The interval adds two parts in squares, by Student's law each: episodes, whose ratios are linearised, and the means of the
+    training seeds. Points have roads of their own, so their errors are independent; a training seed is one agent at all points,
+    so its shares are averaged before seeds are compared. The seeds meet the same episodes, whose noise the second part holds
+    too in part: the interval is rather too wide. With one seed there is the first part alone: it speaks of that agent, not of
+    the training.
+
+    Args:
+        numerators: shape (points, seeds, episodes).
+        denominators: shape (points, episodes).
+        degrees_of_freedom: of a mean over episodes, at one point; the episodes less one by default.
+    """
+    points, seeds, episodes = numerators.shape
+    scale = denominators.mean(axis=-1)
+    values = numerators.mean(axis=(1, 2)) / scale
+    residuals = (numerators.mean(axis=1) - values[:, None] * denominators) / scale[:, None]
+    freedom = episodes - 1 if degrees_of_freedom is None else degrees_of_freedom
+    error = math.sqrt((residuals.var(axis=-1, ddof=1) / episodes).sum()) / points
+    half = student.ppf((1 + CONFIDENCE) / 2, freedom) * error
+    if seeds > 1:
+        spread = (numerators.mean(axis=-1) / scale[:, None]).mean(axis=0).std(ddof=1)
+        half = math.hypot(half, student.ppf((1 + CONFIDENCE) / 2, seeds - 1) * spread / math.sqrt(seeds))
+    value = float(values.mean())
+    return Share(value, value - half, value + half)
+
+
+def best_feedbacks(evaluations: Mapping[str, Evaluation]) -> tuple[str | None, ...]:
+    """The best known feedback at each operating point: the optimal one where it was driven, else the best classical one."""
+    names = [name for name in evaluations if name not in CONSTANT]
+    points = range(len(evaluations["analytic_optimum"].points))
+    if "optimal_feedback" in names:
+        return tuple("optimal_feedback" for _ in points)
+    return tuple(min(names, key=lambda name: evaluations[name].mean[k], default=None) for k in points)
+
+
+def gaps(evaluations: Mapping[str, Evaluation], references: Sequence[str | None]) -> list[npt.NDArray[np.float64] | None]:
+    """What the best known feedback saves at each operating point, shape (episodes,); None if less than `LEAST_ROOM`."""
+    best = evaluations["analytic_optimum"].adjusted_costs
+    rooms: list[npt.NDArray[np.float64] | None] = []
+    for k, reference in enumerate(references):
+        room = None if reference is None else best[k] - evaluations[reference].adjusted_costs[k]
+        rooms.append(room if room is not None and room.mean() > LEAST_ROOM * best[k].mean() else None)
+    return rooms
+
+
+def mean_gap(seeds: Sequence[Evaluation], evaluations: Mapping[str, Evaluation], references: Sequence[str | None]) -> MeanGap:
+    """The mean share of the gap that a learned controller closes, from evaluations of its training seeds and of the rivals."""
+    best, points, freedom = evaluations["analytic_optimum"].adjusted_costs, seeds[0].points, seeds[0].degrees_of_freedom
+    rooms = gaps(evaluations, references)
+    within = [k for k, room in enumerate(rooms) if room is not None]
+    without = [k for k, room in enumerate(rooms) if room is None]
+    saved = best[:, None] - np.stack([evaluation.adjusted_costs for evaluation in seeds], axis=1)
+    losses = [ratio(-saved[[k]], best[[k]], freedom) for k in without]
+    worst = max(range(len(losses)), key=lambda k: losses[k].value, default=None)
+    return MeanGap(
+        closed=ratio(saved[within], np.array([rooms[k] for k in within]), freedom) if within else None,
+        points=tuple(points[k] for k in within),
+        left_out=tuple(points[k] for k in without),
+        loss=ratio(-saved[without], best[without], freedom) if without else None,
+        largest_loss=None if worst is None else losses[worst],
+        largest_at=None if worst is None else points[without[worst]],
+    )
+
+
+def error_over_seeds(costs: npt.NDArray[np.float64]) -> float:
+    """Standard error of the mean of costs, shape (seeds, episodes), over both."""
+    variance = costs.mean(axis=0).var(ddof=1) / costs.shape[1]
+    if len(costs) > 1:
+        variance += costs.mean(axis=1).var(ddof=1) / len(costs)
+    return math.sqrt(variance)
+
+
+def make_rows(
+    task: Task, learned: Mapping[str, Sequence[Evaluation]], evaluations: Mapping[str, Evaluation]
+) -> tuple[tuple[Row, ...], tuple[str | None, ...]]:
+    """Rows with theory, gains and gaps, and the best known feedbacks, from what was driven.
+
+    Args:
+        task: the task.
+        learned: evaluations of each learned controller, one for each training seed.
+        evaluations: those of the rivals, the analytic optimum among them.
+    """
+    rows = []
+    closed = not needs_simulation(task.road, task.speed_noise)  # a theory that is itself simulated proves nothing
+    best = evaluations["analytic_optimum"].adjusted_costs
+    references = best_feedbacks(evaluations)
+    rooms = gaps(evaluations, references)
+    for name, seeds in {**learned, **{name: [evaluation] for name, evaluation in evaluations.items()}}.items():
+        for k, point in enumerate(seeds[0].points):
+            freedom = seeds[0].degrees_of_freedom
+            costs = np.stack([evaluation.adjusted_costs[k] for evaluation in seeds])
+            driven_costs = np.stack([evaluation.costs[k] for evaluation in seeds])
+            damping = constant_damping(task, name, point)
+            squares = np.mean([evaluation.mean_squares[:, k] for evaluation in seeds], axis=0)
+            saved, room = (best[k] - costs)[None], rooms[k]
+            rows.append(
+                Row(
+                    controller=name,
+                    point=point,
+                    cost=float(costs.mean()),
+                    standard_error=error_over_seeds(costs),
+                    driven_cost=float(driven_costs.mean()),
+                    driven_standard_error=error_over_seeds(driven_costs),
+                    theory=theoretical_cost(task, damping, point.speed, point.bandwidth)
+                    if damping is not None and closed
+                    else None,
+                    damping=damping,
+                    gain=ratio(saved, best[k][None], freedom),
+                    gap_closed=None if room is None else ratio(saved, room[None], freedom),
+                    switches=float(np.mean([evaluation.switches[k] for evaluation in seeds])),
+                    squares=dict(zip(MEAN_SQUARES, squares.tolist(), strict=True)),
+                )
+            )
+    return tuple(rows), references

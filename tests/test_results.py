@@ -1,0 +1,112 @@
+"""Gains, gaps and their confidence intervals, from costs that are made up."""
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+
+from agents.evaluation import Evaluation, OperatingPoint
+from agents.report import mean_gap_closed, table
+from agents.results import Comparison, make_rows, mean_gap, ratio
+from roadgym.task import make_task
+
+TASK = make_task(road="multiplicative", speed=(0.7, 3.0), bandwidth=(0.1, 0.3))
+
+
+def driven(*costs, episodes=32):
+    """An evaluation at one point, of these costs with a little noise that all have in common."""
+    noise = np.random.default_rng(1).normal(0, 0.05, (1, episodes))
+    return [evaluation(cost * (1 + noise)) for cost in costs]
+
+
+def evaluation(costs):
+    """An evaluation of these costs, shape (points, episodes), without control variates."""
+    points = tuple(OperatingPoint(1.0 + k, 0.1) for k in range(len(costs)))
+    squares = np.zeros((5, *costs.shape))
+    return Evaluation(points, costs, squares, np.zeros(len(costs)), costs, squares)
+
+
+def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
+    rivals = {"analytic_optimum": driven(1.0)[0], "optimal_feedback": driven(0.2)[0]}
+    rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
+    assert references == ("optimal_feedback",)
+    assert [row.gap_closed.value for row in rows] == pytest.approx([0.75, 0.0, 1.0])
+    # the noise is common, so it cancels in the ratio, though not in the cost
+    assert rows[0].gap_closed.high - rows[0].gap_closed.low < 1e-12
+    assert rows[0].standard_error > 1e-3
+    better, _ = make_rows(TASK, {"agent": driven(0.1)}, rivals)
+    assert better[0].gap_closed.value == pytest.approx(1.125)  # over 100 %
+    rivals["optimal_feedback"] = driven(0.99)[0]  # nothing to be gained
+    rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
+    assert [row.gap_closed for row in rows] == [None] * 3
+    text = table(Comparison(rows, TASK, {"agent": [None]}, references, {}))
+    assert "n/a" in text
+
+
+def test_mean_gap_counts_every_point_that_has_one_and_tells_of_the_others():
+    best, noise = np.ones((4, 1)), np.random.default_rng(2).normal(0, 0.01, (4, 64))
+    rivals = {"analytic_optimum": evaluation(best + 0 * noise)}
+    # feedback saves a half at two points and next to nothing at the other two
+    rivals["optimal_feedback"] = evaluation(np.array([[0.5], [0.5], [0.99], [0.99]]) + 0 * noise)
+    agents_costs = np.array([[0.6], [1.2], [1.05], [1.15]]) + noise - noise.mean(axis=1, keepdims=True)
+    rows, references = make_rows(TASK, {"agent": [evaluation(agents_costs)]}, rivals)
+    gap = mean_gap([evaluation(agents_costs)], rivals, references)
+    assert gap.closed.value == pytest.approx((0.8 - 0.4) / 2)  # worse than a constant damping at one of them
+    assert [point.speed for point in gap.points] == [1.0, 2.0]
+    assert [point.speed for point in gap.left_out] == [3.0, 4.0]
+    assert gap.loss.value == pytest.approx(0.10)
+    assert (gap.largest_loss.value, gap.largest_at.speed) == (pytest.approx(0.15), 4.0)
+    # the roads of two points are independent
+    errors = agents_costs[:2].std(axis=1, ddof=1) / 8 / 0.5
+    assert gap.closed.high - gap.closed.value == pytest.approx(1.9983 * np.hypot(*errors) / 2, rel=1e-3)
+    found = Comparison(rows, TASK, {"agent": [None]}, references, {}, {"agent": gap})
+    said = mean_gap_closed(found, "agent")
+    assert said.startswith("agent closes 20.0 ±")
+    assert "on average over the 2 of 4 operating points that have one" in said
+    assert re.search(r"\(2 of 4 points\), its cost is 10.0 ±[0-9.]+% above that of the best constant D on average, ", said)
+    assert re.search(r", 15.0 ±[0-9.]+% above at worst \(nu = 4, delta = 0.1\)", said)
+    better = mean_gap([evaluation(0.9 * rivals["optimal_feedback"].costs)], rivals, references)
+    assert "10.9 ±0.0% below" in mean_gap_closed(dataclasses.replace(found, mean_gaps={"agent": better}), "agent")
+    assert said in table(found)
+    assert json.loads(found.to_json())["mean_gap_closed"]["agent"]["closed"]["value"] == gap.closed.value
+
+
+def test_mean_gap_of_several_seeds_holds_the_spread_of_their_means():
+    rivals = {"analytic_optimum": evaluation(np.ones((2, 32))), "optimal_feedback": evaluation(np.full((2, 32), 0.2))}
+    seeds = [evaluation(np.array([[a], [b]]) + np.zeros(32)) for a, b in ((0.3, 0.5), (0.4, 0.4), (0.6, 0.4))]
+    gap = mean_gap(seeds, rivals, ("optimal_feedback",) * 2)
+    # what a seed loses at one point and gains at the other does not count
+    spread = np.std([0.75, 0.75, 0.625], ddof=1)
+    assert gap.closed.value == pytest.approx(2.125 / 3)
+    assert gap.closed.high - gap.closed.value == pytest.approx(4.3027 * spread / np.sqrt(3), rel=1e-3)
+
+
+def test_best_known_feedback_without_the_optimal_one_is_the_best_classical():
+    rivals = {"analytic_optimum": driven(1.0)[0], "skyhook": driven(0.6)[0], "add": driven(0.5)[0], "d_min": driven(0.1)[0]}
+    rows, references = make_rows(TASK, {"agent": driven(0.4)}, rivals)
+    assert references == ("add",)  # a constant damping is no feedback
+    assert rows[0].gap_closed.value == pytest.approx(1.2)
+
+
+def test_interval_holds_the_spread_of_training_seeds():
+    rivals = {"analytic_optimum": driven(1.0)[0], "optimal_feedback": driven(0.2)[0]}
+    rows, _ = make_rows(TASK, {"agent": driven(0.3, 0.4, 0.5)}, rivals)
+    gap = rows[0].gap_closed
+    # Student's law with two degrees of freedom: 4.303 standard errors of shares that spread by 0.125
+    assert gap.value == pytest.approx(0.75)
+    assert gap.high - gap.value == pytest.approx(4.3027 * 0.125 / np.sqrt(3), rel=1e-3)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("points", [1, 5])
+def test_interval_of_a_ratio_covers_the_truth(points):
+    generator = np.random.default_rng(7)
+    covered = 0
+    for _ in range(400):
+        road = generator.normal(1, 0.2, (points, 64))
+        share = ratio((0.3 * road + generator.normal(0, 0.1, (points, 64)))[:, None], road)
+        covered += share.low < 0.3 < share.high
+    # 95 % of 400, within four standard errors of 1.1 %
+    assert abs(covered / 400 - 0.95) < 4 * 0.011
