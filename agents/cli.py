@@ -614,7 +614,7 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
 
 def run_figures(chosen: argparse.Namespace) -> None:
     """``roadgym figures``."""
-    from analysis.figures import write
+    from analysis.paper.figures import write
 
     from .progress import work_progress
 
@@ -634,7 +634,7 @@ def run_explore(chosen: argparse.Namespace) -> None:
 
 def run_errata(chosen: argparse.Namespace) -> None:
     """``roadgym errata``."""
-    from analysis import errata
+    from analysis.paper import errata
 
     from .progress import work_progress
 
