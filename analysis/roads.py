@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roadgym.parameters import ParameterError
-from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 
 from .checks import FloatArray, broadcast, range_array, ratio_array
 
@@ -59,8 +59,9 @@ def _check_circle(road: MultiplicativeRoad) -> None:
 def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike) -> FloatArray:
     """Stationary density p(z) of the level.
 
-    Gaussian on first-order and Gaussian roads; proportional to (1 - z^2/r0^2)^(alpha - 1/2) on a multiplicative road, from (11)
-    of Wedig (2020) by integration over the slope; the arcsine law on a harmonic road, to which that tends for alpha -> 0.
+    Gaussian on roads that are linear filters of white noise; proportional to (1 - z^2/r0^2)^(alpha - 1/2) on a multiplicative
+    road, from (11) of Wedig (2020) by integration over the slope; the arcsine law on a harmonic road, to which that tends for
+    alpha -> 0.
 
     Args:
         road: any road.
@@ -71,7 +72,8 @@ def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike)
     """
     road = make_road(road)
     z = range_array("level", level, "array entry")
-    if isinstance(road, (FirstOrderRoad, GaussianRoad)):
+    road_filter = road.shaping_filter()
+    if road_filter is not None and road_filter.flatness == 0 and road_filter.noise.any():
         return np.exp(-z * z / (2 * road.variance)) / math.sqrt(2 * math.pi * road.variance)
     if isinstance(road, HarmonicRoad):
         return _bounded_power(np.abs(z) / road.amplitude, -0.5) / (math.pi * road.amplitude)

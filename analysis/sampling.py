@@ -27,7 +27,6 @@ from .quadratic import interval_mean, periodic_mean_squares, plant_system
 
 RECORD_ANGLE = 100.0  # rad that the slower of road and car turns in the record
 SETTLED = 8.0  # times the slowest time constant before the record: e^-8 of a start at rest is left
-STATE_ROWS = {"displacement": DISPLACEMENT, "velocity": VELOCITY, "level": LEVEL, "slope": SLOPE}
 REPORTS = 50  # intervals between two reports
 
 
@@ -191,7 +190,7 @@ class Switching:
     @property
     def knows_state(self) -> bool:
         """Can `skyhook` be driven: is the state all that there is, and are its conditional moments known?"""
-        return self._soft.flatness is not None and all(name in STATE_ROWS for name in self._soft.states)
+        return self._soft.flatness is not None and self._task.road.state_rows is not None
 
     def skyhook(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
         """(measured, expected) mean squares with D firm where it brakes the body, m^2, shape (names, lanes) each.
@@ -205,7 +204,7 @@ class Switching:
             for n, name in enumerate(self.names):
                 forms[k, n] = interval_mean(system, system.cost_form({name: 1.0}), self._interval)[1] / self._interval
         expected = np.zeros((len(self.names), self._plant.num_envs))
-        rows = [STATE_ROWS[name] for name in self._soft.states]
+        rows = (DISPLACEMENT, VELOCITY, *(self._task.road.state_rows or ()))
         velocity, relative = (self._soft.signals[name] for name in ("velocity", "relative_velocity"))
 
         def firm(step: int) -> Any:

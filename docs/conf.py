@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import sys
 from pathlib import Path
+
+import roadgym
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "roadgym"
-version = release = importlib.metadata.version("roadgym")
+version = release = roadgym.__version__
 language = "en_GB"
 nitpicky = True
 smartquotes = False  # Y' is a derivative

@@ -11,7 +11,16 @@ import gymnasium
 
 from .car import MEAN_SQUARES, QuarterCar
 from .parameters import ParameterError
-from .roads import ROADS, FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road
+from .roads import (
+    ROADS,
+    FirstOrderRoad,
+    GaussianRoad,
+    HarmonicRoad,
+    LinearRoad,
+    MultiplicativeRoad,
+    Road,
+    TwoCornerRoad,
+)
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
 
 __all__ = [
@@ -23,12 +32,14 @@ __all__ = [
     "GaussianRoad",
     "HarmonicRoad",
     "HighPassSpeedNoise",
+    "LinearRoad",
     "LowPassSpeedNoise",
     "MultiplicativeRoad",
     "ParameterError",
     "QuarterCar",
     "Road",
     "SpeedNoise",
+    "TwoCornerRoad",
     "WhiteSpeedNoise",
     "__version__",
     "register",

@@ -1,7 +1,7 @@
 """How compiled code is written here: blocks of lanes, and functions that the kernel calls by address.
 
-A *lane* is one car on one road. Lanes are stepped in blocks of ``LANES``; a block is one flat array of ``SIZE`` numbers in
-which quantity ``Q`` of lane ``i`` is ``block[Q + i]``. The row offsets below are compile-time constants, so the compiler can
+A *lane* is one car on one road. Lanes are stepped in blocks of ``LANES``; a block is one flat array of numbers in which
+quantity ``Q`` of lane ``i`` is ``block[Q + i]``. The row offsets below are compile-time constants, so the compiler can
 prove that rows do not overlap and turns every loop over lanes into vector instructions.
 
 Everything in a block is dimensionless: lengths over the road's standard deviation, time over 1/natural_frequency.
@@ -48,8 +48,8 @@ LEVEL_EXCESS = 8 * LANES  # mean over the substep of the level's path above its 
 DISPLACEMENT = 9 * LANES  # Y
 VELOCITY = 10 * LANES  # X = (dY/dt) / natural_frequency
 RATE = 11 * LANES  # angle a unit of time now, where the speed is a number; nu without speed noise
-COEFFICIENT = 12 * LANES  # first of ten rows that the road fills in `prepare`
-SIZE = 22 * LANES  # numbers in a block
+COEFFICIENT = 12 * LANES  # first of the rows that belong to the road, ``Road.rows`` of them
+OWN_ROWS = 10  # of a road, if it does not say so
 
 # "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}

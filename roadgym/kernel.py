@@ -32,7 +32,6 @@ from .compiled import (
     LEVEL,
     LEVEL_EXCESS,
     RATE,
-    SIZE,
     SLOPE,
     SPEED,
     TURN,
@@ -62,8 +61,9 @@ from .noise import INTERVAL, START, WARM_UP, philox, uniform
     AUTORESET,
     WARM_UP_STEPS,
     HAS_SLOPE,
+    BLOCK_SIZE,
     INTEGERS,
-) = range(16)
+) = range(17)
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 
 # numbers of a plant
@@ -260,7 +260,7 @@ def start_lane(
             speed = forced[0, first + i]
         if not np.isnan(forced[1, first + i]):
             bandwidth = forced[1, first + i]
-    for row in range(0, SIZE, LANES):
+    for row in range(0, lanes.size, LANES):
         lanes[row + i] = 0.0
     lanes[SPEED + i] = speed
     lanes[BANDWIDTH + i] = bandwidth
@@ -305,7 +305,7 @@ def restart_due(
         counters[:] = kept_counters
         for i in range(LANES):
             if not due[i]:
-                for row in range(0, SIZE, LANES):
+                for row in range(0, lanes.size, LANES):
                     lanes[row + i] = kept[row + i]
 
 
@@ -427,8 +427,9 @@ def step_blocks(
     low, high = like(state, numbers[DAMPING_LOW]), like(state, numbers[DAMPING_HIGH])
     limit, mode = integers[MAX_EPISODE_STEPS], integers[AUTORESET]
     scratch[DAMPING : DAMPING + LANES] = low
+    size = integers[BLOCK_SIZE]
     for b in range(begin, end):
-        lanes = state[b * SIZE : (b + 1) * SIZE]
+        lanes = state[b * size : (b + 1) * size]
         counts = counters[b * COUNTERS : (b + 1) * COUNTERS]
         first = b * LANES
         count = min(LANES, actions.size - first)
@@ -501,8 +502,9 @@ def reset_blocks(
     words = np.empty(LANES * (max(substep_words, 12) + 3), np.uint32)
     scratch = make_scratch(state, numbers)
     due = np.zeros(LANES, np.bool_)
+    size = integers[BLOCK_SIZE]
     for b in range(begin, end):
-        lanes = state[b * SIZE : (b + 1) * SIZE]
+        lanes = state[b * size : (b + 1) * size]
         counts = counters[b * COUNTERS : (b + 1) * COUNTERS]
         first = b * LANES
         count = min(LANES, mask.size - first)

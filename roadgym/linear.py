@@ -190,7 +190,7 @@ class LinearSystem:
         mixed = _sylvester(car, road, -cross @ self.road_covariance - own @ _transposed(roads))
         driven = cross @ _transposed(mixed)
         result = np.empty((*self.drift.shape[:-2], size, size))
-        result[..., :cars, :cars] = _sylvester(car, car, -driven - _transposed(driven) - own @ _transposed(own))
+        result[..., :cars, :cars] = lyapunov(car, driven + _transposed(driven) + own @ _transposed(own))
         result[..., :cars, cars:], result[..., cars:, :cars] = mixed, _transposed(mixed)
         result[..., cars:, cars:] = self.road_covariance
         return result
@@ -295,6 +295,11 @@ class LinearSystem:
         matrix[..., :-1, :-1] = np.moveaxis(forms.reshape(*forms.shape[:-2], size * size), 0, -1)
         matrix[..., -1, :-1] = np.moveaxis(constants, 0, -1)
         return matrix
+
+
+def lyapunov(drift: FloatArray, intensity: FloatArray) -> FloatArray:
+    """Stationary covariance P of dx = drift x dt + noise of this intensity: drift P + P drift' + intensity = 0; stacks too."""
+    return _sylvester(drift, drift, -intensity)
 
 
 def _transposed(matrices: FloatArray) -> FloatArray:

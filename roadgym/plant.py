@@ -13,7 +13,7 @@ import numpy.typing as npt
 from numba.core.errors import NumbaError
 
 from . import kernel
-from .compiled import LANES, SIZE, LaneFunction
+from .compiled import COEFFICIENT, LANES, LaneFunction
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, number_array, shown, within
 from .roads import Road
@@ -87,7 +87,8 @@ class Plant:
         self.dtype = np.dtype(task.precision)
         available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
         self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
-        self._state = np.zeros(self.blocks * SIZE, self.dtype)
+        self._block_size = COEFFICIENT + task.road.rows * LANES
+        self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * kernel.COUNTERS, np.uint32)
         self._signals = np.array([kernel.SIGNALS.index(name) for name in task.signals])
         self._max_episode_steps = max_episode_steps
@@ -134,6 +135,7 @@ class Plant:
         integers[kernel.MAX_EPISODE_STEPS] = self._max_episode_steps
         integers[kernel.AUTORESET] = self._autoreset
         integers[kernel.WARM_UP_STEPS] = round(task.warm_up / task.control_interval)
+        integers[kernel.BLOCK_SIZE] = self._block_size
         integers[kernel.HAS_SLOPE] = road.has_slope and (noise is None or noise.smooth)
         return integers
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
 from . import kernel
-from .compiled import BANDWIDTH, DISPLACEMENT, LANES, LEVEL, SIZE, SPEED, TURN, LaneFunction
+from .compiled import BANDWIDTH, DISPLACEMENT, LANES, LEVEL, SPEED, TURN, LaneFunction
 from .noise import INTERVAL
 from .plant import Plant
 from .task import Task
@@ -104,7 +104,7 @@ class History:
         copy meets the same road.
         """
         plant = self._plant
-        lanes, counters = plant._state[:SIZE].copy(), plant._counters[: kernel.COUNTERS].copy()
+        lanes, counters = plant._state[: plant._block_size].copy(), plant._counters[: kernel.COUNTERS].copy()
         result = plant.step(actions)
         reward, self.damping = (float(result[1][row, 0]) for row in (kernel.REWARD, kernel.RESULT_DAMPING))
 

@@ -114,6 +114,8 @@ def check_component(component: Road | SpeedNoise | None) -> None:
         return
     name = f"the {component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
     whole(f"words_per_substep of {name}", component.words_per_substep, low=0, of="words of a component")
+    if isinstance(component, Road):
+        whole(f"rows of {name}", component.rows, low=0, of="rows of a road")
     functions = {"start": component.start, "advance": component.advance}
     if isinstance(component, Road):
         if not (isinstance(component.precision, str) and component.precision in ("float32", "float64")):

@@ -10,7 +10,8 @@ import pytest
 
 from agents.cli import make_parser
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 CHECK_ROAD = """
@@ -55,7 +56,7 @@ def test_there_are_examples():
     assert len(EXAMPLES) == 2
 
 
-PAGES = [Path(__file__).parents[1] / "README.md", *sorted((Path(__file__).parents[1] / "docs").rglob("[!_]*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("[!_]*.md"))]
 COMMANDS = sorted(
     {
         " ".join(line.replace("\\\n", " ").split())
@@ -86,3 +87,13 @@ def test_every_command_has_an_example_that_is_understood():
 
 def test_there_are_commands():
     assert len(COMMANDS) > 15
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_what_is_linked_is_there(page):
+    for link in re.findall(r"\]\(([^)]+)\)", (ROOT / page).read_text(encoding="utf-8")):
+        if not link.startswith("https://"):
+            file, _, heading = link.partition("#")
+            assert (ROOT / file).is_file(), link
+            lines = (ROOT / file).read_text(encoding="utf-8").splitlines() if heading else ()
+            assert not heading or heading in {line.lstrip("# ").lower().replace(" ", "-") for line in lines if line[:1] == "#"}

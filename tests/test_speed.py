@@ -186,7 +186,8 @@ def one_substep(task, damping, state, road_normals, speed_normals):
     interval = task.control_interval * task.car.natural_frequency
     ratio = task.frequency_ratio(task.speed[0])
     columns = state[rows.LEVEL].size // LANES
-    block = np.zeros((rows.SIZE, columns))
+    size = rows.COEFFICIENT + road.rows * LANES
+    block = np.zeros((size, columns))
 
     def words(normals):
         return Vectors(np.concatenate([normal.reshape(LANES, columns) for normal in normals]))
@@ -212,7 +213,7 @@ def one_substep(task, damping, state, road_normals, speed_normals):
                 block[i:, column] = lane
         road.advance.function(Vectors(block), words(road_normals), road.table())
     kernel.follow_road.function(Vectors(block), None, Vectors(scratch))
-    return block.reshape(rows.SIZE // LANES, -1)
+    return block.reshape(size // LANES, -1)
 
 
 def scheme_mean_squares(road, noise, *, damping, speed, interval, modes=24, outer=40, inner=6):
@@ -293,7 +294,7 @@ def finite_terms(road, noise):
     return [0, 1, 2, 3, 4]
 
 
-LINEAR_PLANTS = [plant for plant in PLANTS if plant["road"] != "multiplicative"]
+LINEAR_PLANTS = [plant for plant in PLANTS if plant["road"] in ("harmonic", "first_order", "gaussian")]  # known to this file
 
 
 @pytest.mark.parametrize("plant", LINEAR_PLANTS, ids=plant_name)

@@ -10,9 +10,21 @@ from .base import Road
 from .first_order import FirstOrderRoad
 from .gaussian import GaussianRoad
 from .harmonic import HarmonicRoad
+from .linear import LinearRoad
 from .multiplicative import MultiplicativeRoad
+from .two_corner import TwoCornerRoad
 
-__all__ = ["ROADS", "FirstOrderRoad", "GaussianRoad", "HarmonicRoad", "MultiplicativeRoad", "Road", "make_road"]
+__all__ = [
+    "ROADS",
+    "FirstOrderRoad",
+    "GaussianRoad",
+    "HarmonicRoad",
+    "LinearRoad",
+    "MultiplicativeRoad",
+    "Road",
+    "TwoCornerRoad",
+    "make_road",
+]
 
 ROADS: Registry[Road] = Registry(
     "road",
@@ -22,6 +34,7 @@ ROADS: Registry[Road] = Registry(
         "first_order": FirstOrderRoad,
         "gaussian": GaussianRoad,
         "multiplicative": MultiplicativeRoad,
+        "two_corner": TwoCornerRoad,
     },
 )
 

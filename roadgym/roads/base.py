@@ -9,7 +9,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import LaneFunction
+from ..compiled import LEVEL, OWN_ROWS, SLOPE, LaneFunction
 from ..linear import ShapingFilter
 from ..parameters import ParameterError, check_ratio, within
 
@@ -46,6 +46,7 @@ class Road(abc.ABC):
 
     has_slope: ClassVar[bool] = True  # is dZ/ds a number, that is, does Z contain no white noise in its derivative
     words_per_substep: ClassVar[int] = 2
+    rows: ClassVar[int] = OWN_ROWS  # of its own, from COEFFICIENT on
     takes_phase_noise: ClassVar[bool] = False  # does ``advance`` heed TURN_EXCESS and TURN_VARIANCE, and turn backwards too
     loss_range: ClassVar[str] = "loss"  # range of the bandwidth times the angle of a substep, in `roadgym.parameters.RANGES`
     prepare: ClassVar[LaneFunction | None] = None
@@ -92,6 +93,12 @@ class Road(abc.ABC):
             bandwidth: in place of the road's own, at the same variance, any shape; on roads that have one.
         """
         return None if self.lines is None else waves(self.lines)
+
+    @property
+    def state_rows(self) -> tuple[int, ...] | None:
+        """Rows of the block that hold the states of `shaping_filter`; None where they are not all kept."""
+        road = self.shaping_filter()
+        return (LEVEL, SLOPE)[: len(road.states)] if road is not None and len(road.states) <= 2 else None
 
     @property
     def slope_variance(self) -> float | None:
