@@ -221,7 +221,7 @@ def share_of_training() -> Result:
 
 def euler_maruyama() -> Result:
     """One sample of the paper's Fig. 7 with its statistics, one thread, against one normal draw of NumPy's."""
-    from analysis.simulation import simulate
+    from analysis.paper.euler_maruyama import simulate
     from roadgym import WhiteSpeedNoise
 
     samples = 20_000_000  # those of the paper at one speed

@@ -2,21 +2,26 @@
 damping, its stability, and the best constant damping; and simulation at the paper's scale, as theory's witness.
 
 After W. V. Wedig, "Applied in Non-Linear Vehicle Road Dynamics", ENOC 2020, cited as Wedig (2020). Where its print and its
-derivation disagree, results follow the derivation, and form="printed" gives the print.
+derivation disagree, results follow the derivation, and form="printed" gives the print: `analysis.paper` has what is the paper's
+own, its figures and its errata among them.
 
 Damping, speed and bandwidth may be arrays; results have their common shape, and are NumPy scalars for numbers.
 """
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from .certification import Certificate, certify
 from .feedback import OptimalFeedback, Refinement, optimal_feedback
 from .optimum import Optimum, optimal_damping
+from .paper.euler_maruyama import Estimate, Simulation, simulate
+from .paper.exponents import Stability, simulate_stability
+from .paper.rotating_frame import MomentSystem, mean_amplitude, moment_system
+from .paper.stability import critical_noise, lyapunov_exponents, rotation_numbers
 from .response import MeanSquares, covariance, mean_squares
 from .roads import density, marginal_density, spectral_density
-from .rotating_frame import MomentSystem, mean_amplitude, moment_system
-from .simulation import Estimate, Simulation, Stability, simulate, simulate_stability
-from .stability import critical_noise, lyapunov_exponents, rotation_numbers
 
 __all__ = [
     "Certificate",
@@ -44,3 +49,11 @@ __all__ = [
     "simulate_stability",
     "spectral_density",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """Modules at their former places, which warn, and which importing this package used to bring along."""
+        if name in ("rotating_frame", "simulation", "stability"):
+            return importlib.import_module(f"{__name__}.{name}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,15 +7,8 @@ what theory expects of each interval, given the state in which it began (`analys
 
 *Spectral density.* The measured figure is a periodogram under Hann's window, averaged over lanes. The expected one is its exact
 mean, the spectrum as the same record shows it, sum over lags k of (window * window)(k) R(k) cos(w k) with the autocovariance R.
-So neither leakage nor aliasing is a bias, and one formula serves continuous spectra and the lines of the harmonic road:
-
-    first order   R(t) = E Z^2 e^(-a),                                            a = wavenumber v t      (4), (5)
-    second order  R(t) = E Z^2 e^(-delta a) (cos b a + delta/b sin b a),          b = sqrt(1 - delta^2)   (7), (8)
-    harmonic      R(t) = E Z^2 cos(a) e^(-w(t)/2),                                                        (2), (18), (25), (30)
-    waves         the sum of such terms; any other filter of white noise by its matrix exponential,
-
-w(t) being the variance of the phase's random part: sigma^2 t under white noise, sigma^2 (t - (1 - e^(-w_g t))/w_g) under
-low-pass, sigma^2 (1 - e^(-w_g t))/w_g under high-pass noise. Equation numbers are those of Wedig (2020).
+So neither leakage nor aliasing is a bias, and one formula serves continuous spectra and the lines of the harmonic road; see
+`analysis.autocovariance`.
 
 *Verdicts.* Each line tests the hypothesis that the plant is right, to within the tolerance it promises. The probability that
 a sound plant fails any line is at most `FALSE_ALARM_RATE`, shared out equally between the lines (Bonferroni's inequality),
@@ -37,10 +30,12 @@ from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, whole, within
 from roadgym.plant import PlantError
 from roadgym.roads import HarmonicRoad, MultiplicativeRoad, Road, make_road
-from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
+from roadgym.speed import SpeedNoise, make_speed_noise
 from roadgym.task import check_plant
 
-from .checks import FloatArray, range_array
+from .autocovariance import autocovariance as autocovariance
+from .autocovariance import expected_periodogram, no_closed_form
+from .checks import FloatArray
 from .response import mean_squares, needs_simulation
 from .roads import marginal_density
 from .sampling import Samples, Switching, drive
@@ -246,7 +241,7 @@ def _compared(
     lines += _law_lines(road, own, slow, fast, left_out)
     try:
         if needs_simulation(road, speed_noise):
-            raise ParameterError(_no_closed_form(road, speed_noise))
+            raise ParameterError(no_closed_form(road, speed_noise))
         theory = mean_squares(road, speed_noise, damping=damping, speed=speed, natural_frequency=natural_frequency)
         for term, found in zip(MEAN_SQUARES, own.mean_squares, strict=True):
             name, figure = f"mean square of the {term.replace('_', ' ')}", float(getattr(theory, term))
@@ -270,80 +265,6 @@ def _compared(
     )
 
     return lines, left_out
-
-
-def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLike, *, speed: float) -> FloatArray:
-    """Autocovariance E Z(0) Z(t) of the level in time; see the module's docstring.
-
-    Args:
-        road: a road.
-        speed_noise: noise on the phase of a harmonic road, or None.
-        lag: t >= 0, s, any shape.
-        speed: v, m/s.
-
-    Returns:
-        R, m^2, in the shape of ``lag``.
-
-    Raises:
-        ParameterError: a plant without closed form, such as a random road under speed noise.
-    """
-    t = range_array("lag", lag, "lag")
-    angle = speed * road.wavenumber * t
-    if road.lines is not None and (speed_noise is None or road.takes_phase_noise):
-        spread = _phase_variance(speed_noise, t)
-        terms = [share * np.cos(k * angle) * np.exp(-k * k * spread / 2) for share, k in road.lines]
-        return np.asarray(road.variance * np.sum(terms, axis=0))
-    road_filter = road.shaping_filter()
-    if speed_noise is not None or road_filter is None:
-        raise ParameterError(_no_closed_form(road, speed_noise))
-    if road_filter.is_first_order:
-        return road.variance * np.exp(-angle)
-    if road_filter.bandwidth is not None:
-        delta = float(road_filter.bandwidth)
-        root = np.sqrt(complex((delta - 1) * (delta + 1)))
-        root = root if abs(root) > 1e-5 else 1e-5  # at critical damping the limit, to 1e-10
-        first, second = -delta + root, -delta - root
-        decay = (first * np.exp(second * angle) - second * np.exp(first * angle)) / (first - second)
-        return np.asarray(road.variance * decay.real)
-    return road.variance * road_filter.autocovariance(angle)
-
-
-def _no_closed_form(road: Road, speed_noise: SpeedNoise | None) -> str:
-    if speed_noise is None:
-        return f"none is known for a {road.kind} road, which declares neither lines nor a filter"
-    return f"with {speed_noise.kind} noise there is no closed form on a {road.kind} road"
-
-
-def _phase_variance(speed_noise: SpeedNoise | None, time: FloatArray) -> FloatArray:
-    """Variance w(t) of the random part of the phase, rad^2, after the ``time`` t, s."""
-    if speed_noise is None:
-        return np.zeros_like(time)
-    square = speed_noise.intensity**2
-    if isinstance(speed_noise, WhiteSpeedNoise):
-        return square * time
-    if isinstance(speed_noise, (LowPassSpeedNoise, HighPassSpeedNoise)):
-        filtered = -np.expm1(-speed_noise.corner_frequency * time) / speed_noise.corner_frequency
-        return square * (filtered if isinstance(speed_noise, HighPassSpeedNoise) else time - filtered)
-    raise ParameterError(f"none is known for {speed_noise.kind} speed noise")
-
-
-def expected_periodogram(
-    samples: Samples, road: Road, speed_noise: SpeedNoise | None, speed: float, ratios: tuple[float, ...]
-) -> FloatArray:
-    """Exact mean of the periodogram of a record, m^2 s, at ``ratios`` times the road's angular rate; shape (ratios,).
-
-    Raises:
-        ParameterError: a plant whose autocovariance has no closed form.
-    """
-    from scipy.signal import correlate
-
-    window = samples.window
-    overlap = correlate(window, window)[window.size - 1 :]
-    overlap[1:] *= 2  # both signs of the lag
-    lag = samples.interval * np.arange(window.size)
-    covariance = autocovariance(road, speed_noise, lag, speed=speed)
-    waves = np.cos(np.outer(ratios, speed * road.wavenumber * lag))
-    return np.asarray(samples.interval * (waves @ (overlap * covariance)) / overlap[0])
 
 
 def level_distribution(road: Road, level: npt.ArrayLike) -> FloatArray:
@@ -409,10 +330,10 @@ def _switching_lines(
     """Mean squares of the car where D switches."""
     what = "mean squares of the car where D switches"
     if speed_noise is not None:
-        left_out.append(f"{what} ({_no_closed_form(road, speed_noise)})")
+        left_out.append(f"{what} ({no_closed_form(road, speed_noise)})")
         return []
     if road.shaping_filter() is None:
-        left_out.append(f"{what} ({_no_closed_form(road, None)})")
+        left_out.append(f"{what} ({no_closed_form(road, None)})")
         return []
     switching = Switching(road, damping=damping, speed=speed, natural_frequency=natural_frequency, lanes=lanes, seed=seed)
     lines = []

@@ -16,8 +16,8 @@ from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, check_size
+from .driven import driven_optimum
 from .response import RELATIVE_ERROR, checked_bandwidth, checked_speed, mean_squares, needs_simulation
-from .simulation import driven_optimum
 
 DISPLACEMENT: Mapping[str, float] = MappingProxyType({"displacement": 1.0})
 COARSE, FINE, ROUNDS = 129, 17, 8  # points of the first grid and of each finer one; the bracket shrinks by 8 a round

@@ -24,8 +24,8 @@ from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, check_size, range_array, ratio_array
+from .driven import driven_mean_squares
 from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares
-from .simulation import driven_mean_squares
 
 RELATIVE_ERROR = 3e-3  # standard error over the mean, of what is simulated
 

@@ -7,10 +7,10 @@ import pytest
 
 import analysis
 from agents.cli import main
-from analysis.errata import CHECKS, KINDS, run, table
+from analysis.paper.errata import CHECKS, KINDS, run, table
 from roadgym.parameters import ParameterError
 
-PAGE = (Path(analysis.__file__).parent / "ERRATA.md").read_text(encoding="utf-8")
+PAGE = (Path(analysis.__file__).parent / "paper" / "ERRATA.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.statistical

@@ -112,14 +112,14 @@ def test_the_quadratic_part_is_exact(road) -> None:
     weights = {"displacement": 1.0, "acceleration": 0.5, "travel": 0.1}
     best = analysis.optimal_damping(road, speed=1.0, weights=weights, bounds=(0.6, 1.0))
     assert best.damping == 1.0
-    forms = feedback._Model(make_task(road=road, speed=1.0, reward=weights, damping_range=(0.6, 1.0))).forms
+    forms = feedback.Model(make_task(road=road, speed=1.0, reward=weights, damping_range=(0.6, 1.0))).forms
     np.testing.assert_allclose(forms[-1, :10], 0, atol=1e-9)
     assert forms[-1, 10] == pytest.approx(float(best.cost), rel=1e-9)
 
 
 def test_the_road_step_has_the_exact_mean_and_covariance() -> None:
     road = GaussianRoad(bandwidth=0.2)
-    model = feedback._Model(make_task(road=road, speed=1.0))
+    model = feedback.Model(make_task(road=road, speed=1.0))
     nodes, offset, _, _ = model.road_step(5, 16)
     step = model._turn
     inner = np.linalg.norm(nodes, axis=1) < 2  # beyond, points are moved back to the grid's end
@@ -188,11 +188,11 @@ def test_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert path.stat().st_size == len(content)
     with path.open("wb") as file:
         np.savez(file, description="another")
-    assert feedback._load(path, "another", {}) is None
+    assert feedback.load(path, "another", {}) is None
     path.write_bytes(content[:200] + bytes([content[200] ^ 255]) + content[201:])
-    assert feedback._load(path, "another", {}) is None
+    assert feedback.load(path, "another", {}) is None
     path.write_bytes(b"")
-    assert feedback._load(path, "another", {}) is None
+    assert feedback.load(path, "another", {}) is None
 
 
 def test_damaged_files_are_not_believed(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_damaged_files_are_not_believed(tmp_path: Path) -> None:
     def load(**changes) -> OptimalFeedback | None:
         content = {**sound, **changes}
         np.savez(path, **content | {"description": description, "figures": json.dumps(content["figures"])})
-        return feedback._load(path, description, point)
+        return feedback.load(path, description, point)
 
     def grid(**changes) -> dict:
         return {"figures": figures | {"history": [refinement | changes]}}
@@ -249,19 +249,19 @@ def test_damaged_files_are_not_believed(tmp_path: Path) -> None:
     content = path.read_bytes()
     for place in range(0, len(content), 4999):  # wherever it is damaged
         path.write_bytes(content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :])
-        kept = feedback._load(path, description, point)
+        kept = feedback.load(path, description, point)
         assert kept is None or np.array_equal(kept.policy, policy), place
     at = content.index(policy.tobytes()[:100])
     path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
-    assert feedback._load(path, description, point) is None
+    assert feedback.load(path, description, point) is None
 
 
 def test_result_that_cannot_be_kept_is_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("in the way of a folder")
     monkeypatch.setattr("roadgym.cache._warned", False)
     with pytest.warns(RuntimeWarning, match="cache cannot be written"):
-        feedback._save(tmp_path / "file" / "feedback.npz", "a description", found())
-    feedback._save(tmp_path / "file" / "feedback.npz", "a description", found())  # it was told
+        feedback.save(tmp_path / "file" / "feedback.npz", "a description", found())
+    feedback.save(tmp_path / "file" / "feedback.npz", "a description", found())  # it was told
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,9 @@ from scipy.integrate import quad
 
 import analysis
 from agents.cli import main
-from analysis import figures
-from analysis.figures import FIGURES, stability_angles, write
+from analysis.paper import figures
+from analysis.paper.figures import FIGURES, write
+from analysis.paper.stability_figures import stability_angles
 from roadgym.parameters import ParameterError
 
 

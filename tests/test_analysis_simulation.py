@@ -6,7 +6,9 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 
 import analysis
-from analysis.simulation import FORMS, Estimate, drive_together, simulate, simulate_stability
+from analysis.driven import drive_together
+from analysis.paper.euler_maruyama import FORMS, Estimate, simulate
+from analysis.paper.exponents import simulate_stability
 from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError
 from roadgym.reward import divergent_terms

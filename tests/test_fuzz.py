@@ -27,8 +27,8 @@ from agents.controllers import CONTROLLERS, ConstantDamping, make_controller
 from agents.training import load, load_hyperparameters
 from agents.vec_env import QuarterCarVecEnv, Sight, damping_from_action
 from analysis import explorer
-from analysis import figures as paper_figures
 from analysis.certification import autocovariance
+from analysis.paper import figures as paper_figures
 from roadgym import MEAN_SQUARES, ROADS, SPEED_NOISES, HarmonicRoad, ParameterError
 from roadgym.compiled import LaneFunction
 from roadgym.env import QuarterCarEnv
@@ -487,7 +487,8 @@ def call_simulation(rng):
 
 def is_long(road, noise, speed, parameters):
     """Does a simulation that is allowed take long, because it remembers long how it started?"""
-    from analysis.simulation import SETTLED, _make_system
+    from analysis.driven import SETTLED
+    from analysis.paper.euler_maruyama import make_system
 
     try:
         the_road = make_road(road)
@@ -495,7 +496,7 @@ def is_long(road, noise, speed, parameters):
         damping, form = float(parameters["damping"]), parameters.get("form", "original")
         step = float(parameters.get("time_step", 1e-3))
         speeds = np.asarray(speed, float).reshape(-1)
-        systems = [_make_system(the_road, the_noise, damping, v, w1, form) for v in speeds]
+        systems = [make_system(the_road, the_noise, damping, v, w1, form) for v in speeds]
         return sum(SETTLED * system.memory / step for system in systems) > 1e5
     except Exception:  # what is wrong is for the call to say
         return False

@@ -279,7 +279,7 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
 
 def run_figures(chosen: argparse.Namespace) -> None:
     """``roadgym figures``."""
-    from analysis.figures import write
+    from analysis.paper.figures import write
 
     from ..progress import work_progress
 
@@ -299,7 +299,7 @@ def run_explore(chosen: argparse.Namespace) -> None:
 
 def run_errata(chosen: argparse.Namespace) -> None:
     """``roadgym errata``."""
-    from analysis import errata
+    from analysis.paper import errata
 
     from ..progress import work_progress
 

@@ -3,9 +3,9 @@
 `page.html` takes in `style.css` and, in this order, `theory.js` (the closed forms alone, which node runs too), `words.js`
 (numbers and sentences), `plots.js` (the drawings) and `page.js` (the state and the controls).
 
-The page evaluates the same formulas as `analysis.response`, `analysis.optimum`, `analysis.rotating_frame`, `analysis.roads` and
-`analysis.stability`, in units of w1 and of the road's standard deviation. Python tells it the ranges of its parameters, the
-plants that are defined and the view to begin with, but no result.
+The page evaluates the same formulas as `analysis.response`, `analysis.optimum`, `analysis.roads`,
+`analysis.paper.rotating_frame` and `analysis.paper.stability`, in units of w1 and of the road's standard deviation. Python
+tells it the ranges of its parameters, the plants that are defined and the view to begin with, but no result.
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ import analysis
 import roadgym
 from agents.figures import save_figure
 from agents.records import write_atomically
-from analysis import errata, explorer, figures
+from analysis import explorer
+from analysis.paper import errata, figures
 
 ROOT = Path(__file__).parents[2]
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -27,7 +28,7 @@ BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 
 def write(folder: Path) -> None:
     """Write everything into ``folder``, if the sources have changed since the last time."""
-    sources = [Path(__file__), *sorted((ROOT / "roadgym").rglob("*.py")), *sorted((ROOT / "analysis").glob("*.py"))]
+    sources = [Path(__file__), *sorted((ROOT / "roadgym").rglob("*.py")), *sorted((ROOT / "analysis").rglob("*.py"))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     folder.mkdir(exist_ok=True)
     stamp = folder / "digest"

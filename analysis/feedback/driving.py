@@ -1,0 +1,93 @@
+"""A feedback driven on the plant: what it costs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.kernel import RESULT_SQUARE, REWARD
+from roadgym.plant import Plant
+from roadgym.task import Task
+
+from ..checks import FloatArray
+from ..control_variates import adjust, control_dampings, expected_squares, least_transient
+from .grid import STATE, SingleArray, evaluate
+from .iteration import Share
+
+LANES_DRIVEN, PIECE = 2560, 250  # cars driven together, and intervals between two looks at the standard error
+FEWEST_PIECES = 3  # the adjusted error is soon small, and shorter drives adjust less well
+
+
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """Driven cost, adjusted by control variates, its standard error, root mean squares of (Y, X), and the pieces it took."""
+
+    cost: float
+    standard_error: float
+    deviation: FloatArray
+    pieces: int
+
+
+def drive(
+    task: Task,
+    table: tuple[SingleArray, FloatArray, npt.NDArray[np.int64]],
+    noise: np.random.SeedSequence,
+    *,
+    precision: float,
+    pieces: int | None,
+    share: Share,
+    threads: int,
+    told: Callable[[float], None],
+) -> Drive:
+    """Drive a feedback for ``pieces``, or until the relative standard error is at most ``precision``.
+
+    Constant dampings over the same noise serve as control variates, see `analysis.control_variates`. A start at rest leaves
+    exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4, and to far less for those.
+    """
+    everyone = np.ones(LANES_DRIVEN, np.bool_)
+    seeds = noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64)
+
+    def start() -> tuple[Plant, SingleArray]:
+        plant = Plant(task, LANES_DRIVEN, threads=threads)
+        plant.seed(seeds, everyone)
+        return plant, plant.reset(plant.forced({}), everyone)[0]
+
+    plant, states = start()
+    columns = np.array([task.signals.index(name) for name in STATE])
+    low, high = np.array(task.damping_range, np.float32)
+    damping = np.empty(LANES_DRIVEN, np.float32)
+    total, squares = np.zeros(LANES_DRIVEN), np.zeros(2)
+    forgotten = 5 / (task.damping_range[0] * task.car.natural_frequency)
+    skipped = math.ceil(max(forgotten, least_transient(task)) / task.control_interval)
+    constants = control_dampings(task, skipped * task.control_interval, LANES_DRIVEN)
+    expected = np.array(task.weights) @ expected_squares(task, constants, task.speed[0])
+    rivals = [start()[0] for _ in constants]
+    held = [np.full(LANES_DRIVEN, constant, np.float32) for constant in constants]
+    controls = np.zeros((len(constants), LANES_DRIVEN))
+
+    def respond(seen: SingleArray) -> None:
+        share(LANES_DRIVEN, lambda begin, end: evaluate(begin, end, seen, columns, *table, damping))
+
+    step, measured, mean, error = 0, 0, 0.0, math.inf
+    least = FEWEST_PIECES if pieces is None else pieces
+    while measured < least * PIECE or (pieces is None and error > precision * mean):
+        for _ in range(PIECE if step >= skipped else skipped):
+            respond(states)
+            states, results, _, _ = plant.step(np.clip(damping, low, high, out=damping))
+            costs = [rival.step(constant)[1][REWARD] for rival, constant in zip(rivals, held, strict=True)]
+            if step >= skipped:
+                total -= results[REWARD]
+                for control, cost in zip(controls, costs, strict=True):
+                    control -= cost
+                squares += np.mean(results[RESULT_SQUARE : RESULT_SQUARE + 2], axis=1, dtype=float)
+                measured += 1
+            step += 1
+        if measured:
+            adjusted = adjust(total / measured, controls / measured, expected)
+            mean, error = float(adjusted.mean()), float(adjusted.std(ddof=1)) / math.sqrt(LANES_DRIVEN)
+            told(min((precision * mean / error) ** 2, measured / (least * PIECE), 1.0))
+    return Drive(mean, error, np.sqrt(squares / measured), measured // PIECE)
