@@ -22,7 +22,7 @@ from roadgym import ENVIRONMENT_ID
 from roadgym.compiled import LANES
 from roadgym.kernel import COUNTERS, STEP
 from roadgym.plant import Plant
-from roadgym.task import make_task
+from roadgym.task import LARGEST_ANGLE, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 REPEATS = 7
@@ -112,7 +112,8 @@ def vector_step() -> Result:
 def substep() -> Result:
     """One substep of one car against one normal draw of NumPy's."""
     few, many = 2, 34
-    short, long = (batch(4096, threads=1, substeps=count) for count in (few, many))
+    # of one length: the shorter ones are, the more digits they ask for
+    short, long = (batch(4096, threads=1, substeps=count, control_interval=LARGEST_ANGLE * count) for count in (few, many))
     generator, buffer = np.random.default_rng(0), np.empty(4096)
     return side_by_side(
         "substep of one car (road, car, noise, squares) over one standard_normal",
@@ -298,7 +299,7 @@ def scaling() -> list[dict[str, float]]:
             {"environments": num_envs, "substeps": 2, "nanoseconds": seconds(batch(num_envs, threads=1)) / num_envs * 1e9}
         )
     for substeps in (1, 2, 4, 8, 16, 32):
-        step = batch(4096, threads=1, substeps=substeps)
+        step = batch(4096, threads=1, substeps=substeps, control_interval=LARGEST_ANGLE * substeps)
         rows.append({"environments": 4096, "substeps": substeps, "nanoseconds": seconds(step) / 4096 * 1e9})
     return rows
 
