@@ -142,7 +142,6 @@ def grip_road(lanes: Any, words: Any, scratch: Any) -> None:
         scratch[DECAY_11 + i] = phi_11
         scratch[DECAY_12 + i] = phi_12
         scratch[DECAY_22 + i] = phi_22
-    for i in range(LANES):
         z, slope = lanes[LEVEL + i], lanes[RATE + i] * lanes[SLOPE + i]
         scratch[PREVIOUS_LEVEL + i] = z
         yy, xx, aa, tt, rr = squares(lanes[DISPLACEMENT + i], lanes[VELOCITY + i], z, slope, two * scratch[DAMPING + i])
@@ -356,10 +355,10 @@ def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count
 @compiled
 def first_unsound(rows: Any, width: int) -> int:
     """The first of ``width`` columns of ``rows``, LANES apart in a flat array, with a number that is not finite, or -1."""
-    unsound = 0
+    unsound = np.int32(0)
     for i in range(rows.size):
-        unsound += rows[i] - rows[i] != 0  # counts; a sum of numbers would be added up one by one
-    if unsound:
+        unsound |= np.int32(rows[i] - rows[i] != 0)  # a sum of numbers would be added up one by one
+    if unsound != 0:
         for i in range(width):
             for k in range(i, rows.size, LANES):
                 if not np.isfinite(rows[k]):
