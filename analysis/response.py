@@ -64,8 +64,8 @@ def mean_squares(
     """Stationary mean squares at constant damping; (3), (6), (16), (17) of Wedig (2020) and their companions.
 
     Exact on every road that is a linear filter or bounded, and under speed noise on the harmonic road: to rounding without
-    low-pass noise, and with it to 1e-10 of each mean square for D <= 5, however slow, fast or weak it is. Of a multiplicative
-    road only variance and bandwidth enter.
+    low-pass noise, and with it to 1e-10 of each mean square for D <= 5, however slow, fast or weak it is; to 1e-8 on a filter
+    without closed form, such as that of the two-corner road. Of a multiplicative road only variance and bandwidth enter.
 
     Low-pass noise on a random road has no closed form, nor has a road of one's own that declares neither lines nor a filter:
     there the plant itself is driven, seconds for each operating point, and the result has a standard error. The noise has a
@@ -94,7 +94,7 @@ def mean_squares(
         speed_noise.check_range(natural_frequency, driven=driven)
     relative_error = within("relative_error", relative_error)
     arrays = {
-        "damping": range_array("damping", damping, "damping" if driven else "constant damping"),
+        "damping": range_array("damping", damping, "constant damping" if has_closed_form(road) and not driven else "damping"),
         "speed": checked_speed(speed, road, natural_frequency),
     }
     if bandwidth is not None:
@@ -105,8 +105,17 @@ def mean_squares(
         check_size("operating points to simulate", "damping and speed", damping.size, "driven points")
         bandwidths = rest[0] if bandwidth is not None else None
         return _simulated(road, speed_noise, damping, speed, natural_frequency, bandwidths, relative_error)
+    if not has_closed_form(road):
+        ratio_array("speed", speed, "nu = speed * wavenumber/natural_frequency", ratio, "linear frequency ratio")
     found = _closed(road, speed_noise, damping, ratio, natural_frequency, rest[0] if rest else None)
     return MeanSquares(**{name: road.variance * found[name] for name in MEAN_SQUARES}, standard_error=None)
+
+
+def has_closed_form(road: Road) -> bool:
+    """Are its mean squares known in closed form, which is exact in a wider range than Lyapunov's equation?"""
+    road_filter = road.shaping_filter()
+    known = road_filter is not None and (road_filter.is_first_order or road_filter.bandwidth is not None)
+    return known or road.lines is not None
 
 
 def _closed(

@@ -29,6 +29,7 @@ MOTION = Motion(
     level_entry=np.array([0.0, 1.0]),
     slope_entry=np.array([0.0, 0.0]),
     force_entry=np.array([0.0, 1.0]),
+    follows=np.array([1.0, 0.0]),
     signals={
         "displacement": (np.array([1.0, 0.0]), 0.0, 0.0, 0.0),
         "velocity": (np.array([0.0, 1.0]), 0.0, 0.0, 0.0),

@@ -52,6 +52,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "any speed": Range(0.0, 1e30, "speed, m/s; what counts is the frequency ratio"),
         "moving speed": Range(1e-30, 1e30, "speed, m/s, above zero; likewise"),
         "any frequency ratio": Range(0.0, 1e4, "nu of a simulation of the paper's equations, 1"),
+        "linear frequency ratio": Range(1e-3, 1e3, "nu in mean squares of a road that has a filter and no closed form, 1"),
         "constant frequency ratio": Range(0.0, 1e6, "nu in closed forms, 1"),
         "relative intensity": Range(1e-6, 10.0, "sigma/sqrt(w1) of a speed noise, on a plant that is driven, rad"),
         "constant relative intensity": Range(1e-12, 1e6, "the same in closed forms"),

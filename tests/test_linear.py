@@ -39,6 +39,20 @@ def test_mean_squares_are_the_closed_forms_at_a_thousand_points(name):
         np.testing.assert_allclose(values, getattr(exact, signal) / road.variance, rtol=1e-10)
 
 
+@pytest.mark.parametrize("name", ["first_order", "gaussian"])
+def test_small_differences_of_large_numbers_are_right(name):
+    """At the ends of the range: a slow road, which the car follows, and a damper that is nearly rigid."""
+    generator, number = np.random.default_rng(2), 2000
+    damping = np.exp(generator.uniform(np.log(1e-3), np.log(100), number))
+    ratio = np.exp(generator.uniform(np.log(1e-3), np.log(1e3), number))
+    road = make_road(name)
+    found = system_of(name, damping, ratio, np.full(number, 0.1)).mean_squares()
+    own = {"bandwidth": 0.1} if name == "gaussian" else {}
+    exact = analysis.mean_squares(road, damping=damping, speed=ratio, **own)
+    for signal, values in found.items():
+        np.testing.assert_allclose(values, getattr(exact, signal) / road.variance, rtol=2e-8)
+
+
 @pytest.mark.statistical
 @pytest.mark.parametrize("name", LINEAR)
 def test_kernel_moves_the_state_as_the_matrices_do(name):
