@@ -17,7 +17,7 @@ from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, check_size
 from .driven import driven_optimum
-from .response import RELATIVE_ERROR, checked_bandwidth, checked_speed, mean_squares, needs_simulation
+from .response import RELATIVE_ERROR, checked_bandwidth, checked_speed, has_closed_form, mean_squares, needs_simulation
 
 DISPLACEMENT: Mapping[str, float] = MappingProxyType({"displacement": 1.0})
 COARSE, FINE, ROUNDS = 129, 17, 8  # points of the first grid and of each finer one; the bracket shrinks by 8 a round
@@ -78,7 +78,7 @@ def optimal_damping(
     speed_noise = make_speed_noise(speed_noise, road)
     checked = check_weights(weights, road, speed_noise)
     driven = needs_simulation(road, speed_noise)
-    low, high = positive_range("bounds", bounds, "damping" if driven else "constant damping")
+    low, high = positive_range("bounds", bounds, "constant damping" if has_closed_form(road) and not driven else "damping")
     natural_frequency = within("natural_frequency", natural_frequency)
     relative_error = within("relative_error", relative_error)
     if speed_noise is not None:
