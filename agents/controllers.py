@@ -26,7 +26,7 @@ from roadgym.cache import user_folder
 from roadgym.parameters import ParameterError, number, number_array, shown, single_precision
 from roadgym.task import OPERATING_POINT, Task
 
-from .advantage import STATE, advantage_forms
+from .advantage import STATE, advantage_forms, has_advantage
 from .theory import optimum as optimum
 from .theory import road_at as road_at
 from .theory import theoretical_cost as theoretical_cost
@@ -233,12 +233,22 @@ class LeastAcceleration(SemiActive):
 
 
 class Scheduled(SemiActive):
-    """A rule with quadratic forms of the state (Y, X, Z, U) that are worked out once for each operating point."""
+    """A rule with quadratic forms of the state (Y, X, Z, U) that are worked out once for each operating point.
+
+    Raises:
+        ParameterError: a plant outside the model of the forms: noise on the speed, an ellipse, or a road of one's own.
+    """
 
     needs = (*SemiActive.needs, "bandwidth")
 
     def __init__(self, task: Task) -> None:
         super().__init__(task)
+        if not has_advantage(task):
+            what = "an ellipse" if task.speed_noise is None else f"{task.speed_noise.kind} speed noise"
+            plant = what if task.road.shaping_filter() is not None else f"a {task.road.kind} road"
+            raise ParameterError(
+                f"{type(self).__name__} needs a gaussian road, or multiplicative on a circle, at a constant speed; got {plant}"
+            )
         self._forms: dict[tuple[float, float], Any] = {}
 
     @abc.abstractmethod

@@ -188,3 +188,16 @@ def test_optimal_feedback_is_worked_out_once_and_kept(tmp_path, monkeypatch):
     for _ in range(2):
         assert controller.predict(observation)[0][:, 0] == pytest.approx([0.3] * 3)
     assert asked == [(0.1, 1.5, tmp_path / "roadgym"), (0.1, 2.0, tmp_path / "roadgym")]
+
+
+@pytest.mark.parametrize("name", ["clipped_lqr", "one_step_lookahead", "optimal_feedback"])
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        ({"road": "gaussian", "speed_noise": "low_pass"}, "low_pass speed noise"),
+        ({"road": {"kind": "multiplicative", "bandwidth": 0.3, "noise_intensity": 0.4, "slope_bound": 0.7}}, "an ellipse"),
+    ],
+)
+def test_rules_with_a_model_refuse_what_is_outside_it(name, plant, message):
+    with pytest.raises(ParameterError, match=f"at a constant speed; got {message}"):
+        make_controller(name, make_task(**plant))
