@@ -27,8 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roadgym.car import MEAN_SQUARES
-from roadgym.parameters import ParameterError, whole, within
-from roadgym.plant import PlantError
+from roadgym.parameters import ParameterError, PlantError, whole, within
 from roadgym.roads import HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 from roadgym.task import check_plant

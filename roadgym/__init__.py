@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 
 from .car import MEAN_SQUARES, QuarterCar
-from .parameters import ParameterError
+from .parameters import ParameterError, PlantError
 from .roads import (
     ROADS,
     FirstOrderRoad,
@@ -36,6 +36,7 @@ __all__ = [
     "LowPassSpeedNoise",
     "MultiplicativeRoad",
     "ParameterError",
+    "PlantError",
     "QuarterCar",
     "Road",
     "SpeedNoise",

@@ -16,6 +16,10 @@ class ParameterError(ValueError):
     """A parameter outside its range, of the wrong kind, or in a combination that is not defined."""
 
 
+class PlantError(ArithmeticError):
+    """A number of the plant is not finite: a component of one's own, or the range of a parameter, lets it grow without end."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Range:
     """What a number may be: ``low`` to ``high``, both included; ``meaning`` tells the quantity, its symbol and its unit."""

@@ -15,7 +15,7 @@ from numba.core.errors import NumbaError
 from . import kernel
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .noise import fill_words, keys_from_seeds
-from .parameters import ParameterError, number_array, shown, within
+from .parameters import ParameterError, PlantError, number_array, shown, within
 from .roads import Road
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
@@ -55,10 +55,6 @@ def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any])
     if np.any(np.isinf(constants) & np.isfinite(row)):
         raise ParameterError(f"{name} must have numbers that {dtype} holds, up to {np.finfo(dtype).max:.2g}")
     return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
-
-
-class PlantError(ArithmeticError):
-    """A number of the plant is not finite: a component of one's own, or the range of a parameter, lets it grow without end."""
 
 
 class Plant:

@@ -7,7 +7,8 @@ from scipy.linalg import expm
 import roadgym
 from roadgym import compiled as rows
 from roadgym.kernel import COUNTERS, STEP, interval_weights
-from roadgym.plant import Plant, PlantError
+from roadgym.parameters import PlantError
+from roadgym.plant import Plant
 from roadgym.task import make_task
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import re
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import analysis
 import roadgym
 from agents.cli import main
 from roadgym import ROADS, ParameterError
+from roadgym.compiled import LEVEL, LaneFunction
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 HYPERPARAMETERS = """roadgym/QuarterCar-v0:
@@ -92,6 +94,31 @@ def test_what_no_theory_knows_is_driven(two_frequency):
         assert abs(getattr(found, name) - getattr(exact, name)) < 4 * error + 1e-3 * getattr(exact, name)
     best, driven = (analysis.optimal_damping(road, speed=2.0) for road in (known, unknown))
     assert driven.cost == pytest.approx(best.cost, abs=4 * driven.standard_error.cost + 2e-3 * best.cost)
+
+
+@LaneFunction
+def start_nowhere(lane, words, table):
+    """No number."""
+    lane[LEVEL] = math.nan
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Nowhere(roadgym.GaussianRoad):
+    """A road whose author divided by zero."""
+
+    kind: str = dataclasses.field(default="nowhere", init=False)
+    start = start_nowhere
+
+
+def test_a_road_that_is_not_a_number_ends_a_command_in_one_line(capsys):
+    roadgym.register("road", "nowhere", Nowhere)
+    try:
+        assert main(["evaluate", "--controller", "d_max", "--road", "nowhere", "--episodes", "16"]) == 2
+    finally:
+        del ROADS["nowhere"]
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("roadgym evaluate: environment 0 of ")
+    assert "Nowhere(" in last
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ import roadgym
 from roadgym import MEAN_SQUARES, SPEED_NOISES, GaussianRoad, HarmonicRoad, ParameterError, kernel
 from roadgym.compiled import LaneFunction
 from roadgym.env import QuarterCarEnv
-from roadgym.plant import PlantError
 from roadgym.rendering import History
 from roadgym.task import make_task
 from roadgym.vector import QuarterCarVectorEnv
@@ -261,7 +260,7 @@ def test_roads_that_say_nonsense_of_themselves_are_refused(body, message):
 
 def test_what_is_read_beyond_a_table_is_not_a_number():
     env = QuarterCarEnv(road=own_road(start=start_beyond, table=lambda self: np.ones(3)))
-    with pytest.raises(PlantError, match="environment 0 of 1"):
+    with pytest.raises(roadgym.PlantError, match="environment 0 of 1"):
         env.reset(seed=0)
 
 

@@ -13,7 +13,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from roadgym import ParameterError
+from roadgym import ParameterError, PlantError
 
 from ..errors import AgentError
 from .options import environment_from
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code: int | None = chosen.run(chosen)
         print(end="", flush=True)
-    except (ParameterError, AgentError) as error:
+    except (ParameterError, PlantError, AgentError) as error:
         return _fault(chosen.command, str(error))
     except KeyboardInterrupt:
         remedies = {
