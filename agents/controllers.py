@@ -351,7 +351,7 @@ class OptimalFeedback(Scheduled):
             road_at(task, float(f"{bandwidth:.6g}")),
             # observed in single precision: six digits make neighbouring roundings one operating point, and one file
             speed=float(f"{ratio * task.car.natural_frequency / task.road.wavenumber:.6g}"),
-            natural_frequency=task.car.natural_frequency,
+            car=task.car,
             weights=task.weights_by_name,
             bounds=task.damping_range,
             control_interval=task.control_interval,
