@@ -20,18 +20,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.error import DependencyNotInstalled
 
 from . import kernel
 from .compiled import BANDWIDTH, DISPLACEMENT, LANES, LEVEL, SPEED, TURN, LaneFunction
+from .installation import needs
 from .noise import INTERVAL
 from .plant import Plant
 from .task import Task
 
-try:
+with needs("render"):
     import pygame
-except ImportError as error:
-    raise DependencyNotInstalled("drawing needs pygame: pip install 'roadgym[render]'") from error
 
 Floats = npt.NDArray[np.floating[Any]]
 Colour = tuple[int, int, int]
