@@ -38,7 +38,7 @@ _HOME = {
 __all__ = sorted(_HOME)
 __distribution__ = "roadgym"  # by which roadgym tells this package from others of its name
 
-check_package("analysis")  # which agents rest on
+check_package("analysis")  # on which this package rests
 
 
 def __getattr__(name: str) -> Any:
