@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roadgym import files
+from roadgym.component import import_modules
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
@@ -131,7 +132,7 @@ def load(folder: str | Path) -> Agent:
 
     torch.set_num_threads(1)  # as in training
     try:
-        task = make_task(**description["environment"])
+        task = task_of(description)
         model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")
         agent = Agent(model, description, task)
         seen, offered = model.observation_space.shape, agent.sight.space.shape
@@ -140,6 +141,21 @@ def load(folder: str | Path) -> Agent:
     except Exception as error:  # unpickling damaged files can raise anything
         raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
     return agent
+
+
+def task_of(description: Mapping[str, Any]) -> Task:
+    """The task of an agent from its description; modules that it names are imported where a component of it is not known.
+
+    Raises:
+        ParameterError: a component that stays unknown, or a module that cannot be imported.
+    """
+    try:
+        return make_task(**description["environment"])
+    except ParameterError:
+        if not description.get("imports"):
+            raise
+    import_modules(description["imports"])
+    return make_task(**description["environment"])
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -166,6 +182,8 @@ def read_description(path: Path) -> dict[str, Any]:
         isinstance(statistics.get(key), (int, float)) and math.isfinite(statistics[key]) for key in STATISTICS
     ):
         raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'reward_statistics'")
+    if not isinstance(imports := description.get("imports", []), list) or not all(isinstance(name, str) for name in imports):
+        raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'imports'")
     model = path / description["model"]
     if not MODEL.fullmatch(description["model"]) or not zipfile.is_zipfile(model):
         raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name!r} is missing or not a model file")

@@ -6,7 +6,7 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from .agent import (
     load,
     read_description,
     save,
+    task_of,
 )
 from .errors import AgentError
 from .records import (
@@ -272,6 +273,7 @@ def train(
     timesteps: int | None = None,
     checkpoint_interval: int = 100_000,
     resume: bool = False,
+    imports: Sequence[str] = (),
     tensorboard: bool = False,
     report: Any = silent,
 ) -> Agent:
@@ -288,6 +290,8 @@ def train(
         resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold. The noise of the
             second part is new, so the result differs from that of one unbroken run, but repeats. A replay buffer is not
             saved: an off-policy algorithm fills it anew, for learning_starts timesteps of random damping, before it learns on.
+        imports: modules that register components of one's own, which `agents.load` imports again where one is not known. Those
+            that hold the components' classes need not be named.
         tensorboard: write logs for TensorBoard under ``folder``.
         report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``.
 
@@ -305,12 +309,14 @@ def train(
         _refuse_agent(path)
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
         environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
+        task = make_task(**environment)
         description = {
             "format": FORMAT,
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": plain(hyperparameters),
-            "training_reward": training_reward(hyperparameters, make_task(**environment)),
+            "training_reward": training_reward(hyperparameters, task),
+            "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),
             "command": " ".join(sys.argv),
@@ -339,7 +345,14 @@ def train(
                 raise
             save(path, model, description)
         description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
-    return Agent(model, description, make_task(**description["environment"]))
+    return Agent(model, description, task_of(description))
+
+
+def _homes(task: Task, imports: Sequence[str]) -> list[str]:
+    """The modules that must be imported for the components of ``task``: those named, then those that have their classes."""
+    named = [component_type.__module__ for component_type in map(type, (task.road, task.speed_noise))]
+    own = [name for name in named if name.partition(".")[0] not in ("roadgym", "builtins", "__main__")]
+    return list(dict.fromkeys([*imports, *own]))
 
 
 def _refuse_agent(path: Path) -> None:

@@ -53,6 +53,7 @@ def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]
             timesteps=chosen.timesteps,
             checkpoint_interval=chosen.checkpoint_interval,
             resume=resume,
+            imports=chosen.imports,
             tensorboard=getattr(chosen, "tensorboard", False),
             report=report,
         )
