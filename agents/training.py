@@ -25,8 +25,6 @@ from roadgym import files
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
-from .advantage import has_advantage
-from .advantage_reward import AdvantageReward
 from .agent import (
     ALGORITHMS,
     CONTENT,
@@ -56,6 +54,7 @@ from .records import (
     write_atomically,
 )
 from .vec_env import QuarterCarVecEnv
+from .wrappers import training_reward
 
 __all__ = [  # with names that live in `agents.agent` and `agents.records`
     "ALGORITHMS",
@@ -200,18 +199,6 @@ def make_model(
     return model
 
 
-def training_reward(hyperparameters: Mapping[str, Any], task: Task) -> str:
-    """What is learned from: "cost", or "advantage" where the hyperparameters ask for it and theory knows it on this plant.
-
-    Raises:
-        ParameterError: hyperparameters that ask for something else.
-    """
-    chosen = hyperparameters.get("training_reward", "cost")
-    if chosen not in ("cost", "advantage"):
-        raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
-    return chosen if has_advantage(task) else "cost"
-
-
 def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]) -> VecNormalize:
     """The training environments, with rewards scaled by their running spread if the hyperparameters ask for it."""
     batch = QuarterCarVecEnv(
@@ -220,13 +207,13 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
         features=hyperparameters.get("features"),
         frame_stack=hyperparameters.get("frame_stack", 1),
         damping_levels=hyperparameters.get("damping_levels"),
+        training_reward=hyperparameters.get("training_reward", "cost"),
     )
-    envs = AdvantageReward(batch) if training_reward(hyperparameters, batch.task) == "advantage" else batch
     options = dict(hyperparameters.get("normalize", {}))
     if options.pop("norm_obs", False):
         raise ParameterError("norm_obs must be false: the environment scales its observations")
     return VecNormalize(
-        envs,
+        batch,
         norm_obs=False,
         norm_reward=bool(options.pop("norm_reward", False)),
         gamma=hyperparameters.get("gamma", 0.99),
@@ -315,7 +302,7 @@ def train(
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": plain(hyperparameters),
-            "training_reward": training_reward(hyperparameters, task),
+            "training_reward": training_reward(hyperparameters.get("training_reward", "cost"), task),
             "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),

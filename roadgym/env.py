@@ -13,6 +13,7 @@ from gymnasium.error import ResetNeeded
 
 from . import ENVIRONMENT_ID
 from .car import MEAN_SQUARES
+from .compiled import BANDWIDTH, DISPLACEMENT, LEVEL, SLOPE, SPEED, VELOCITY
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
@@ -22,6 +23,7 @@ if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from .rendering import History, Picture, Window
 
 RESET_OPTIONS = ("speed", "bandwidth")
+STATE = (DISPLACEMENT, VELOCITY, LEVEL, SLOPE, SPEED, BANDWIDTH)
 
 
 def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
@@ -118,6 +120,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
             if self.render_mode == "human":
                 self.render()
         return observations[0], self._operating_point(results[:, 0].tolist())
+
+    def state(self) -> npt.NDArray[np.float64]:
+        """The state (Y, X, Z, U, nu, delta) of car and road, shape (6,); see `roadgym.vector.QuarterCarVectorEnv.state`."""
+        return np.array([self._plant.row(offset)[0] for offset in STATE], float)
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""

@@ -12,15 +12,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from .car import MEAN_SQUARES
-from .compiled import BANDWIDTH, DISPLACEMENT, LEVEL, SLOPE, SPEED, VELOCITY
-from .env import RESET_OPTIONS, check_options
+from .env import RESET_OPTIONS, STATE, check_options
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
 from .task import TaskParameters, make_task
 
 Floats = npt.NDArray[np.float32]
-STATE = (DISPLACEMENT, VELOCITY, LEVEL, SLOPE, SPEED, BANDWIDTH)
 
 
 def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
