@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import sys
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
@@ -20,7 +18,6 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
-import roadgym
 from roadgym import files
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
@@ -41,6 +38,7 @@ from .agent import (
     task_of,
 )
 from .errors import AgentError
+from .hyperparameters import HYPERPARAMETERS, load_hyperparameters
 from .records import (
     LOCK,
     PACKAGES,
@@ -100,60 +98,6 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "noise_std",
     "training_reward",
 )
-LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
-MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
-HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
-
-
-def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict[str, Any]:
-    """Hyperparameters of ``algorithm`` for this environment.
-
-    Args:
-        algorithm: a key of `ALGORITHMS`.
-        file: a YAML file, or the name of one of those in `HYPERPARAMETERS`, such as "ppo_stacked"; by default the algorithm's.
-
-    Raises:
-        ParameterError: an unknown algorithm, or a file that holds no hyperparameters for this environment.
-    """
-    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
-        name = algorithm if isinstance(algorithm, str) else type(algorithm).__name__
-        raise ParameterError(f"unknown algorithm {name!r}; known: {', '.join(ALGORITHMS)}")
-    chosen = algorithm if file is None else file
-    shipped = [path.stem for path in sorted(HYPERPARAMETERS.glob("*.yaml"))]
-    path = HYPERPARAMETERS / f"{chosen}.yaml" if str(chosen) in shipped else Path(chosen)
-    try:
-        content = _read_yaml(path)
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ParameterError(
-            f"cannot read hyperparameters from {str(path)!r}: {reason}; by name there are: {', '.join(shipped)}"
-        ) from None
-    found = content.get(roadgym.ENVIRONMENT_ID) if isinstance(content, dict) else None
-    if not isinstance(found, dict):
-        raise ParameterError(f"{str(path)!r} holds no hyperparameters for {roadgym.ENVIRONMENT_ID}")
-    return found
-
-
-def _read_yaml(path: Path) -> Any:
-    """The content of a YAML file, of a size that hyperparameters can have; ValueError where it is larger."""
-    with path.open("rb") as file:
-        text = file.read(LARGEST_FILE + 1)
-    if len(text) > LARGEST_FILE:
-        raise ValueError(f"it has more than {LARGEST_FILE} bytes")
-    node = yaml.compose(text.decode("utf-8"), yaml.SafeLoader)
-    sizes: dict[int, int] = {}
-
-    def size(node: yaml.Node) -> int:
-        """Number of nodes under ``node``, each as often as it is named."""
-        if id(node) not in sizes:
-            sizes[id(node)] = MOST_NODES + 1  # what it has if it holds itself
-            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-            sizes[id(node)] = 1 + sum(map(size, itertools.chain(*parts) if isinstance(node, yaml.MappingNode) else parts))
-        return sizes[id(node)]
-
-    if node is not None and size(node) > MOST_NODES:
-        raise ValueError(f"it has more than {MOST_NODES} entries, its aliases written out")
-    return yaml.safe_load(text)
 
 
 def _schedule(name: str, value: Any) -> Any:
