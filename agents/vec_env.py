@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from roadgym import ENVIRONMENT_ID
-from roadgym.env import QuarterCarEnv
+from roadgym.env import QuarterCarEnv, check_options
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
@@ -175,10 +175,24 @@ class QuarterCarVecEnv(VecEnv):
                 raise ParameterError(f"environments must be alike, got {described[0]}, and {description} as number {number}")
         return cls(len(described), **described[0])
 
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Options of the next reset, `roadgym.vector.QuarterCarVectorEnv.reset`, for all environments or one each.
+
+        Raises:
+            ParameterError: unknown options, or another number of them.
+        """
+        if isinstance(options, (list, tuple)) and len(options) != self.num_envs:
+            raise ParameterError(f"options must be one mapping or {self.num_envs} of them, got {len(options)}")
+        for each in options if isinstance(options, (list, tuple)) else [options]:
+            check_options(each)
+        super().set_options(options)
+
     def reset(self) -> npt.NDArray[np.float32]:
-        """What is seen first, shape (num_envs, size); the seed of `seed` takes effect here."""
+        """What is seen first, shape (num_envs, size); the seed of `seed` and the options of `set_options` take effect here."""
         given: Any = self._seeds if any(seed is not None for seed in self._seeds) else None
-        observations, _ = self._batch.reset(seed=given)
+        names = dict.fromkeys(name for each in self._options for name in each)
+        options = {name: [each.get(name) for each in self._options] for name in names}
+        observations, _ = self._batch.reset(seed=given, options=options)
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0

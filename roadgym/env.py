@@ -49,9 +49,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
       acceleration over w1^2), saturating at 20 of them; then, unless it is hidden, the operating point, speed as nu/(1 + nu)
       with nu = speed * wavenumber / natural_frequency and, where it exists, bandwidth delta as 2 delta/(1 + 2 delta).
       ``signal_scale`` holds the factors that make metres of them.
-    - Info after a step: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
+    - Info, in double precision: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
       ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
-      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1).
+      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1). At a reset no
+      interval has been driven yet: mean squares and damping are 0.
     - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
       stationary law and the car at rest, or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
@@ -95,11 +96,13 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_picture": None, "_window": None}  # a copy draws for itself
 
-    def _operating_point(self, results: Sequence[float]) -> dict[str, Any]:
-        point = {"speed": results[RESULT_SPEED] * self._metres_per_second}
+    def _info(self, values: Sequence[float]) -> dict[str, Any]:
+        info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}
+        info["damping"] = values[RESULT_DAMPING]
+        info["speed"] = values[RESULT_SPEED] * self._metres_per_second
         if self.task.bandwidth[1] > 0:
-            point["bandwidth"] = results[RESULT_BANDWIDTH]
-        return point
+            info["bandwidth"] = values[RESULT_BANDWIDTH]
+        return info
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -119,7 +122,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
             self.history = History(self._plant)
             if self.render_mode == "human":
                 self.render()
-        return observations[0], self._operating_point(results[:, 0].tolist())
+        return observations[0], self._info(results[:, 0].tolist()) | {"damping": 0.0}
 
     def state(self) -> npt.NDArray[np.float64]:
         """The state (Y, X, Z, U, nu, delta) of car and road, shape (6,); see `roadgym.vector.QuarterCarVectorEnv.state`."""
@@ -134,12 +137,9 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
             raise ParameterError(f"action must be one finite number, shape (1,), got {shown(action)}")
         observations, results, _, _ = self._plant.step(actions) if self.history is None else self.history.step(actions)
         values = results[:, 0].tolist()
-        info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}
-        info["damping"] = values[RESULT_DAMPING]
-        info.update(self._operating_point(values))
         if self.render_mode == "human":
             self.render()
-        return observations[0], values[REWARD], False, False, info
+        return observations[0], values[REWARD], False, False, self._info(values)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """The picture now in the mode "rgb_array"; in the mode "human" it goes to the window."""

@@ -16,7 +16,7 @@ from .env import RESET_OPTIONS, STATE, check_options
 from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
-from .task import TaskParameters, make_task
+from .task import OPERATING_POINT, TaskParameters, make_task
 
 Floats = npt.NDArray[np.float32]
 
@@ -84,15 +84,31 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             autoreset=mode.name.lower(),
             threads=None if threads is None else whole("threads", threads, of="threads"),
         )
-        self._same_step = mode is AutoresetMode.SAME_STEP
+        self._same_step, self._next_step = mode is AutoresetMode.SAME_STEP, mode is AutoresetMode.NEXT_STEP
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
         self._all = np.ones(self.num_envs, np.bool_)
+        self._over = ~self._all  # whose episode ended in the last step
 
-    def _operating_point(self, results: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        info: dict[str, Any] = {"speed": results[RESULT_SPEED] * self._metres_per_second, "_speed": mask}
+    def _info(self, results: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
+        numbers = results.astype(np.float64)
+        squares = numbers[RESULT_SQUARE : RESULT_SQUARE + 5] * self.task.road.variance
+        info = dict(zip(MEAN_SQUARES, squares, strict=True))
+        info["damping"] = numbers[RESULT_DAMPING]
+        info["speed"] = numbers[RESULT_SPEED] * self._metres_per_second
         if self.task.bandwidth[1] > 0:
-            info["bandwidth"], info["_bandwidth"] = results[RESULT_BANDWIDTH], mask
-        return info
+            info["bandwidth"] = numbers[RESULT_BANDWIDTH]
+        return info | {"_" + name: mask for name in info}
+
+    def _forced(self, chosen: dict[str, Any]) -> npt.NDArray[np.float64]:
+        """The operating points that the options fix, see `Plant.forced`; NaN too where one of them is None."""
+        drawn = {name: value for name, value in chosen.items() if isinstance(value, (list, tuple)) and None in value}
+        known = {name: [getattr(self.task, name)[0] if each is None else each for each in drawn[name]] for name in drawn}
+        forced = self._plant.forced(chosen | known)
+        for row, name in enumerate(OPERATING_POINT):
+            if name in drawn:
+                forced[row, [each is None for each in drawn[name]]] = np.nan
+        return forced
 
     def _seeds(self, seed: int | Sequence[int | None] | None, mask: npt.NDArray[np.bool_]) -> None:
         """Seed the masked environments: s + i from an integer s, or one each from a sequence, None leaving one as it is."""
@@ -130,7 +146,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     ) -> tuple[Floats, dict[str, Any]]:
         """Begin the next episode everywhere, or where the option "reset_mask" is true.
 
-        The options "speed" and "bandwidth", a number or one for each environment, fix the operating point of that episode.
+        The options "speed" and "bandwidth", a number or one for each environment, fix the operating point of that episode; a
+        None among them leaves it to be drawn.
         """
         chosen = check_options(options, (*RESET_OPTIONS, "reset_mask"))
         mask = chosen.get("reset_mask", self._all)
@@ -140,12 +157,15 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         mask = np.require(mask, np.bool_, ["C", "A", "W"])  # as compiled code takes it
         if not self._plant.started and not mask.all():
             raise ResetNeeded("the first reset must reset every environment")
-        forced = self._plant.forced(chosen)
+        forced = self._forced(chosen)
         checked = self._checked_seed(seed)
         super().reset(seed=checked if isinstance(checked, int) else None)
         self._seeds(checked, mask)
         observations, results = self._plant.reset(forced, mask)
-        return observations, self._operating_point(results, mask.copy())
+        info = self._info(results, mask.copy())
+        info["damping"][:] = 0.0  # no interval has been driven
+        self._over = self._over & ~mask
+        return observations, info
 
     def state(self) -> npt.NDArray[np.float64]:
         """The state (Y, X, Z, U, nu, delta) of car and road, shape (num_envs, 6), whatever is observed.
@@ -165,13 +185,15 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         if not np.isfinite(damping).all():
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
         observations, results, truncated, final = self._plant.step(damping.reshape(-1))
-        squares = results[RESULT_SQUARE : RESULT_SQUARE + 5]
-        squares *= self._plant.dtype.type(self.task.road.variance)
-        mask = self._all.copy()
-        info = self._operating_point(results, mask)
-        for name, row in zip(MEAN_SQUARES, squares, strict=True):
-            info[name], info["_" + name] = row, mask
-        info["damping"], info["_damping"] = results[RESULT_DAMPING], mask
+        info = self._info(results, self._all.copy())
+        if self._next_step:
+            if self._over.any():  # they have only begun an episode, on a road of its own
+                state = self.state()[self._over]
+                info["damping"][self._over] = 0.0
+                info["speed"][self._over] = state[:, -2] * self._metres_per_second
+                if "bandwidth" in info:
+                    info["bandwidth"][self._over] = state[:, -1]
+            self._over = truncated
         if self._same_step and truncated.any():
             final_info = {name: value.copy() if name[0] == "_" else value for name, value in info.items()}
             info["final_info"], info["_final_info"] = final_info, truncated.copy()

@@ -66,6 +66,24 @@ def test_adapter_equals_single_environments_in_a_dummy_vec_env():
         assert dones.all() == ((k + 1) % limit == 0)
 
 
+def test_options_reach_the_environments_at_the_next_reset_alone():
+    native = QuarterCarVecEnv(3, environment=ENVIRONMENT)
+    dummy = DummyVecEnv([lambda: gymnasium.make(roadgym.ENVIRONMENT_ID, **ENVIRONMENT)] * 3)
+    for options in ({"speed": 1.25}, [{"speed": 0.75}, {}, {"speed": 1.5, "bandwidth": 0.25}], None):
+        for envs in (native, dummy):
+            envs.seed(4)
+            envs.set_options(options)
+        np.testing.assert_array_equal(native.reset(), dummy.reset())
+        np.testing.assert_array_equal(native.reset(), dummy.reset())  # drawn again
+    with pytest.raises(ParameterError, match="unknown reset option 'velocity'; known: speed, bandwidth"):
+        native.set_options([{}, {"velocity": 1.0}, {}])
+    with pytest.raises(ParameterError, match="options must be one mapping or 3 of them, got 2"):
+        native.set_options([{}, {}])
+    native.set_options({"speed": 99.0})
+    with pytest.raises(ParameterError, match=r"option 'speed' must lie within \[0.7, 2\], got"):
+        native.reset()
+
+
 def recorded(**options):
     return make_vec_env(
         roadgym.ENVIRONMENT_ID,
@@ -94,7 +112,7 @@ def test_the_batch_stands_in_for_the_environments_of_make_vec_env(recipe):
             np.testing.assert_array_equal(steps[0][1], steps[1][1])
         for infos in zip(steps[0][3], steps[1][3], strict=True):
             for name in roadgym.MEAN_SQUARES:
-                assert infos[0][name] == pytest.approx(infos[1][name], rel=1e-6)
+                assert infos[0][name] == infos[1][name]
             assert ("episode" in infos[0]) == ("episode" in infos[1]) == (k == 3)
             if k == 3:
                 assert infos[0]["episode"]["r"] == pytest.approx(infos[1]["episode"]["r"], rel=1e-5)
