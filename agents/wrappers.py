@@ -183,19 +183,19 @@ class AdvantageReward(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
 
 
 class _VectorWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
-    """A wrapper that knows which environments begin an episode."""
+    """A wrapper that knows which environments begin an episode; its autoreset mode is an attribute, as TorchRL reads it."""
 
     def __init__(self, env: Batch) -> None:
         super().__init__(env)
-        self.mode: AutoresetMode = env.metadata["autoreset_mode"]
+        self.autoreset_mode: AutoresetMode = env.metadata["autoreset_mode"]
         self._ended = np.zeros(env.num_envs, np.bool_)
 
     def _begun(self, ended: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Whose observation after this step is the first of an episode, from who ended one in it; once a step."""
         before, self._ended = self._ended, ended
-        if self.mode is AutoresetMode.SAME_STEP:
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
             return ended
-        return before if self.mode is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
+        return before if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
 
     def _start(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_] | None:
         """Who is reset with these options; None for everyone."""
@@ -204,7 +204,7 @@ class _VectorWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
         return None if mask is None or np.all(mask) else mask
 
 
-class VectorDampingAction(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorDampingAction(_VectorWrapper):
     """`DampingAction` of a batch: actions of shape (num_envs, 1), or (num_envs,) where they are levels."""
 
     def __init__(self, env: Batch, levels: int | None = None) -> None:
@@ -274,7 +274,7 @@ class VectorAdvantageReward(_VectorWrapper):
         advantage = self._saved.advantage(single_precision("actions", actions, (self.num_envs, 1)))
         observations, rewards, terminated, truncated, info = self.env.step(actions)
         begun = self._begun(terminated | truncated)
-        driven = ~begun if self.mode is AutoresetMode.NEXT_STEP else self._everyone
+        driven = ~begun if self.autoreset_mode is AutoresetMode.NEXT_STEP else self._everyone
         cost = -np.asarray(rewards, np.float64)
         saved = self._saved.reward(cost, advantage, driven)
         self._look()

@@ -69,6 +69,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         if render_mode is not None:
             raise ParameterError(f"render_mode must be None: a batch draws no pictures, got {shown(render_mode)}")
         self.task = make_task(**parameters)
+        self.autoreset_mode = mode  # as Gymnasium's own vector environments have it
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode = render_mode
         self.single_action_space = self.task.action_space

@@ -13,6 +13,7 @@ from plants import EVERY_PLANT, plant_name
 
 import analysis
 import roadgym
+from agents.wrappers import learning
 from roadgym import ParameterError
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -281,3 +282,10 @@ def test_theory_holds_inside_the_environment(plant):
 def test_bad_parameters_are_refused_by_name(parameters, message):
     with pytest.raises(ParameterError, match=message):
         QuarterCarVectorEnv(**parameters)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_the_autoreset_mode_is_an_attribute(mode):
+    """Where TorchRL looks for it, as in Gymnasium's own vector environments."""
+    envs = gymnasium.make_vec(ID, 2, autoreset_mode=mode.name)
+    assert envs.autoreset_mode is envs.metadata["autoreset_mode"] is learning(envs).autoreset_mode is mode
