@@ -31,10 +31,12 @@ from roadgym.component import import_modules
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
+from roadgym.vector import QuarterCarVectorEnv
 
 from .actions import damping_from_action
 from .errors import AgentError
 from .features import Sight
+from .wrappers import ActionLayer, learning, wrap
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -98,6 +100,11 @@ class Agent:
         hyperparameters = description["hyperparameters"]
         self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
         self.damping_levels = hyperparameters.get("damping_levels")
+        self._layers: list[ActionLayer] = []
+        if hyperparameters.get("wrappers"):
+            batch = QuarterCarVectorEnv(1, threads=1, **description["environment"])
+            learned = learning(batch, features=None, damping_levels=self.damping_levels, training_reward="cost")
+            _, self._layers = wrap(learned, hyperparameters["wrappers"])
 
     def predict(
         self,
@@ -115,6 +122,8 @@ class Agent:
         frames, memory = (None, None) if state is None else state
         frames = self.sight.stack(frames, rows, episode_start)
         action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
+        for layer in self._layers:
+            action = layer.actions(action)
         damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
         remembered = None if frames is None and memory is None else (frames, memory)
         return damping.reshape((*observation.shape[:-1], 1)), remembered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ from .records import (
     write_atomically,
 )
 from .vec_env import QuarterCarVecEnv
-from .wrappers import training_reward
+from .wrappers import training_reward, wrapper_name
 
 __all__ = [  # with names that live in `agents.agent` and `agents.records`
     "ALGORITHMS",
@@ -97,6 +97,7 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "policy_kwargs",
     "noise_std",
     "training_reward",
+    "wrappers",
 )
 
 
@@ -152,6 +153,7 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
         frame_stack=hyperparameters.get("frame_stack", 1),
         damping_levels=hyperparameters.get("damping_levels"),
         training_reward=hyperparameters.get("training_reward", "cost"),
+        wrappers=hyperparameters.get("wrappers", ()),
     )
     options = dict(hyperparameters.get("normalize", {}))
     if options.pop("norm_obs", False):
@@ -204,6 +206,7 @@ def train(
     timesteps: int | None = None,
     checkpoint_interval: int = 100_000,
     resume: bool = False,
+    wrappers: Sequence[str | Callable[[Any], Any]] = (),
     imports: Sequence[str] = (),
     tensorboard: bool = False,
     report: Any = silent,
@@ -221,6 +224,10 @@ def train(
         resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold. The noise of the
             second part is new, so the result differs from that of one unbroken run, but repeats. A replay buffer is not
             saved: an off-policy algorithm fills it anew, for learning_starts timesteps of random damping, before it learns on.
+        wrappers: functions or classes, or "module:name" of them, around the batch of training, the innermost first, after those
+            of the hyperparameters: Gymnasium's vector wrappers or one's own. They may pay other rewards, made of the infos, and
+            map actions as a ``VectorActionWrapper`` does, which the agent repeats wherever it drives; observations must stay
+            as they are. Costs are evaluated without them.
         imports: modules that register components of one's own, which `agents.load` imports again where one is not known. Those
             that hold the components' classes need not be named.
         tensorboard: write logs for TensorBoard under ``folder``.
@@ -239,6 +246,9 @@ def train(
     else:
         _refuse_agent(path)
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
+        if wrappers:
+            named = [*hyperparameters.get("wrappers", ()), *map(wrapper_name, wrappers)]
+            hyperparameters = {**hyperparameters, "wrappers": named}
         environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
         task = make_task(**environment)
         description = {

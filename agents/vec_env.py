@@ -22,7 +22,7 @@ from roadgym.vector import QuarterCarVectorEnv
 
 from .actions import damping_from_action as damping_from_action
 from .features import Sight as Sight
-from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning
+from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, wrap
 
 
 class Info(dict[str, Any]):
@@ -120,6 +120,8 @@ class QuarterCarVecEnv(VecEnv):
         max_episode_steps: steps in an episode; None for no limit.
         environment: parameters of `roadgym.vector.QuarterCarVectorEnv`.
         features, frame_stack, damping_levels, training_reward: see `agents.wrappers.learning`.
+        wrappers: Gymnasium's or one's own around all this, each a "module:name"; see `agents.wrappers.wrap`. Where the cost is
+            paid, the return "r" is that of their reward.
     """
 
     def __init__(
@@ -132,6 +134,7 @@ class QuarterCarVecEnv(VecEnv):
         frame_stack: int = 1,
         damping_levels: int | None = None,
         training_reward: str = "cost",
+        wrappers: Sequence[str] = (),
     ) -> None:
         if not (environment is None or isinstance(environment, Mapping)):
             raise ParameterError(f"environment must be a mapping of parameters, got {shown(environment)}")
@@ -147,13 +150,14 @@ class QuarterCarVecEnv(VecEnv):
         )
         self.task = self.envs.task
         self.render_mode = None
-        self._batch = learning(
+        learned = learning(
             self.envs,
             features=features,
             frame_stack=frame_stack,
             damping_levels=damping_levels,
             training_reward=training_reward,
         )
+        self._batch, _ = wrap(learned, wrappers)
         super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
         self._returns = np.zeros(num_envs)

@@ -12,16 +12,24 @@ each episode, and the step that only begins one is paid 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, overload
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, cast, overload
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import (
+    AutoresetMode,
+    VectorActionWrapper,
+    VectorEnv,
+    VectorWrapper,
+)
 from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers.vector import VectorizeTransformAction
 
+from roadgym.component import import_modules
 from roadgym.parameters import ParameterError, shown, single_precision, whole
 from roadgym.task import Task
 
@@ -32,6 +40,7 @@ from .features import FEATURES, Rows, Sight
 
 Environment = gymnasium.Env[Any, Any]
 Batch = VectorEnv[Any, Any, Any]
+ActionLayer = VectorActionWrapper[Any, Any, Any, Any]
 
 
 def task_of(env: Environment | Batch) -> Task:
@@ -107,6 +116,64 @@ def learning(
 
 
 _paid = training_reward  # which `learning` has a parameter of the name of
+
+
+def find_wrapper(name: Any) -> Callable[[Batch], Batch]:
+    """The function or class of a "module:name", which takes a batch and gives one.
+
+    Raises:
+        ParameterError: there is none.
+    """
+    module, _, attribute = name.partition(":") if isinstance(name, str) else ("", "", "")
+    if not (module and attribute):
+        raise ParameterError(f"wrapper must be named as module:name, got {shown(name)}")
+    import_modules([module])
+    found: Any = getattr(sys.modules[module], attribute, None)
+    if not callable(found):
+        raise ParameterError(f"wrapper {name!r} cannot be found: the module has no such function")
+    return cast(Callable[[Batch], Batch], found)
+
+
+def wrapper_name(wrapper: Callable[[Batch], Batch] | str) -> str:
+    """The "module:name" of a wrapper, by which `find_wrapper` finds it again.
+
+    Raises:
+        ParameterError: it is not found, such as a lambda.
+    """
+    name = wrapper if isinstance(wrapper, str) else f"{wrapper.__module__}:{getattr(wrapper, '__qualname__', '')}"
+    if (found := find_wrapper(name)) is not wrapper and not isinstance(wrapper, str):
+        raise ParameterError(f"wrapper must be what its module has under its name, got {shown(wrapper)}, not {shown(found)}")
+    return name
+
+
+def wrap(batch: Batch, names: Sequence[str]) -> tuple[Batch, list[ActionLayer]]:
+    """The batch within the wrappers of these names, and those of them that an agent needs when it drives, the outermost first.
+
+    Raises:
+        ParameterError: what wraps nothing, or changes what is observed or answered in a way that an agent cannot repeat: the
+            observations at all, or the actions by more than a ``VectorActionWrapper`` that takes any number of rows.
+    """
+    layers: list[ActionLayer] = []
+    for name in names:
+        put_on = find_wrapper(name)
+        try:
+            outer = layer = put_on(batch)
+        except (TypeError, ValueError, AssertionError) as error:
+            raise ParameterError(f"wrapper {name!r}: {' '.join(str(error).split())}") from error
+        found: list[ActionLayer] = []
+        while layer is not batch:
+            if not isinstance(layer, VectorWrapper):
+                raise ParameterError(f"wrapper {name!r} must give a wrapper of the batch that it takes, got {shown(outer)}")
+            inner: Batch = layer.env
+            if isinstance(layer, VectorActionWrapper) and not isinstance(layer, VectorizeTransformAction):
+                found.append(layer)
+            elif layer.single_action_space != inner.single_action_space:
+                raise ParameterError(f"wrapper {name!r} changes actions: only a VectorActionWrapper may, of any number of rows")
+            if layer.single_observation_space != inner.single_observation_space:
+                raise ParameterError(f"wrapper {name!r} changes observations: an agent would not see them so when it drives")
+            layer = inner
+        batch, layers = outer, found + layers
+    return batch, layers
 
 
 class DampingAction(gymnasium.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
