@@ -19,8 +19,6 @@ import gymnasium
 import numpy as np
 
 from roadgym import ENVIRONMENT_ID
-from roadgym.compiled import LANES
-from roadgym.kernel import COUNTERS, STEP
 from roadgym.plant import Plant
 from roadgym.task import LARGEST_ANGLE, make_task
 from roadgym.vector import QuarterCarVectorEnv
@@ -87,8 +85,7 @@ def batch(num_envs: int, **options: Any) -> Callable[[], Any]:
     """A function that steps a batch once, its episodes staggered."""
     envs = QuarterCarVectorEnv(num_envs, **options)
     envs.reset(seed=0)
-    counters = envs._plant._counters.reshape(-1, COUNTERS)
-    counters[:, STEP : STEP + LANES] = np.arange(counters.shape[0] * LANES).reshape(-1, LANES) % 500
+    envs.plant.elapsed_steps = np.arange(num_envs) % 500
     actions = np.full((num_envs, 1), 0.3, np.float32)
     return lambda: envs.step(actions)
 
@@ -255,7 +252,7 @@ def euler_maruyama() -> Result:
 def memory() -> Result:
     """Bytes of state for each environment of a million."""
     plant = Plant(make_task(), 1_000_000)
-    each = (plant._state.nbytes + plant._counters.nbytes) / plant.num_envs
+    each = plant.nbytes / plant.num_envs
     return Result("state of an environment in a batch of 10^6, bytes", each, 256.0, each, (each, each), "<= 256", each <= 256)
 
 

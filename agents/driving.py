@@ -230,15 +230,15 @@ def write_mp4(path: Path, film: Iterator[Frame], total: int) -> None:
 
 def write_gif(path: Path, film: Iterator[Frame], total: int) -> None:
     """An endless GIF at 20 frames a second, every third of the film, in the colours of the picture and shades between them."""
-    from roadgym import rendering
+    from roadgym import drawing, rendering
 
     colours = [rendering.damper_colour(share) for share in np.linspace(0, 1, 48)]
-    for below in (np.array(rendering.PAPER), np.array(rendering.GROUND)):
+    for below in (np.array(drawing.PAPER), np.array(rendering.GROUND)):
         for stroke in (
-            rendering.INK,
-            rendering.GREY,
+            drawing.INK,
+            drawing.GREY,
             rendering.HAIRLINE,
-            rendering.BODY,
+            drawing.BODY,
             rendering.ROAD,
             rendering.GROUND,
             rendering.REWARD,

@@ -291,7 +291,7 @@ def train(
 
 def _homes(task: Task, imports: Sequence[str]) -> list[str]:
     """The modules that must be imported for the components of ``task``: those named, then those that have their classes."""
-    named = [component_type.__module__ for component_type in map(type, (task.road, task.speed_noise))]
+    named = [component_type.__module__ for component_type in map(type, (task.road, task.speed_noise, task.car))]
     own = [name for name in named if name.partition(".")[0] not in ("roadgym", "builtins", "__main__")]
     return list(dict.fromkeys([*imports, *own]))
 

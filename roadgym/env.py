@@ -12,18 +12,19 @@ import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
 from . import ENVIRONMENT_ID
-from .car import MEAN_SQUARES
-from .compiled import BANDWIDTH, DISPLACEMENT, LEVEL, SLOPE, SPEED, VELOCITY
-from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
-from .task import TaskParameters, make_task
+from .task import Task, TaskParameters, make_task
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from .rendering import History, Picture, Window
 
 RESET_OPTIONS = ("speed", "bandwidth")
-STATE = (DISPLACEMENT, VELOCITY, LEVEL, SLOPE, SPEED, BANDWIDTH)
+
+
+def state_names(task: Task) -> tuple[str, ...]:
+    """Names of what the environments' ``state`` tells."""
+    return (*task.car.motion.states, "level", "slope", "speed", "bandwidth")
 
 
 def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
@@ -85,9 +86,9 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.observation_space = self.task.observation_space
         self.signal_names = self.task.signals
         self.signal_scale = self.task.signal_scale
-        self._plant = Plant(self.task, 1, threads=1)
-        self._mask = np.ones(1, np.bool_)
-        self._variance = self.task.road.variance
+        self.plant = Plant(self.task, 1, threads=1)
+        self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
+        self._names, self._variance = self.task.car.mean_squares, self.task.road.variance
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
         self.history: History | None = None
         self._picture: Picture | None = None
@@ -96,50 +97,54 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_picture": None, "_window": None}  # a copy draws for itself
 
-    def _info(self, values: Sequence[float]) -> dict[str, Any]:
-        info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}
-        info["damping"] = values[RESULT_DAMPING]
-        info["speed"] = values[RESULT_SPEED] * self._metres_per_second
-        if self.task.bandwidth[1] > 0:
-            info["bandwidth"] = values[RESULT_BANDWIDTH]
-        return info
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
         """Begin the next episode; see the class for ``options``."""
-        forced = self._plant.forced(check_options(options))
+        forced = self.plant.forced(check_options(options))
         seed = None if seed is None else whole("seed", seed, low=0, of="seed")
         super().reset(seed=seed)
-        if seed is None and not self._plant.started:
+        if seed is None and not self.plant.started:
             seed = int(self.np_random.integers(2**63))
         if seed is not None:
-            self._plant.seed(np.array([seed], np.uint64), self._mask)
-        observations, results = self._plant.reset(forced, self._mask)
+            self.plant.seed(np.array([seed], np.uint64), self._mask)
+        began = self.plant.reset(forced, self._mask)
         if self.render_mode is not None:
             from .rendering import History
 
-            self.history = History(self._plant)
+            self.history = History(self.plant)
             if self.render_mode == "human":
                 self.render()
-        return observations[0], self._info(results[:, 0].tolist()) | {"damping": 0.0}
+        _, _, ratio, bandwidth, *_ = began.only()
+        info = {**dict.fromkeys(self._names, 0.0), "damping": 0.0, "speed": ratio * self._metres_per_second}
+        if self._has_bandwidth:
+            info["bandwidth"] = bandwidth
+        return began.observations[0], info
 
     def state(self) -> npt.NDArray[np.float64]:
-        """The state (Y, X, Z, U, nu, delta) of car and road, shape (6,); see `roadgym.vector.QuarterCarVectorEnv.state`."""
-        return np.array([self._plant.row(offset)[0] for offset in STATE], float)
+        """State of the car, then (Z, U, nu, delta), in one row; see `roadgym.vector.QuarterCarVectorEnv.state`."""
+        return np.array([self.plant.row(name)[0] for name in state_names(self.task)], float)
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""
-        if not self._plant.started:
+        if not self.plant.started:
             raise ResetNeeded("call reset before step")
         actions = single_precision("action", action, (1,))
-        if not math.isfinite(actions[0]):
+        if not math.isfinite(actions.item()):
             raise ParameterError(f"action must be one finite number, shape (1,), got {shown(action)}")
-        observations, results, _, _ = self._plant.step(actions) if self.history is None else self.history.step(actions)
-        values = results[:, 0].tolist()
+        interval = self.plant.step(actions) if self.history is None else self.history.step(actions)
+        reward, damping, ratio, bandwidth, *squares = interval.only()
+        info: dict[str, Any] = {}
+        variance = self._variance
+        for name, square in zip(self._names, squares):  # noqa: B905  (to be strict takes a twentieth of the step)
+            info[name] = square * variance
+        info["damping"] = damping
+        info["speed"] = ratio * self._metres_per_second
+        if self._has_bandwidth:
+            info["bandwidth"] = bandwidth
         if self.render_mode == "human":
             self.render()
-        return observations[0], values[REWARD], False, False, self._info(values)
+        return interval.observations[0], reward, False, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """The picture now in the mode "rgb_array"; in the mode "human" it goes to the window."""

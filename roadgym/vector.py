@@ -11,11 +11,9 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from .car import MEAN_SQUARES
-from .env import RESET_OPTIONS, STATE, check_options
-from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
+from .env import RESET_OPTIONS, check_options, state_names
 from .parameters import ParameterError, shown, single_precision, whole
-from .plant import Plant
+from .plant import Interval, Plant
 from .task import OPERATING_POINT, TaskParameters, make_task
 
 Floats = npt.NDArray[np.float32]
@@ -78,7 +76,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.signal_names = self.task.signals
         self.signal_scale = self.task.signal_scale
-        self._plant = Plant(
+        self.plant = Plant(
             self.task,
             self.num_envs,
             max_episode_steps=limit,
@@ -90,22 +88,21 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self._all = np.ones(self.num_envs, np.bool_)
         self._over = ~self._all  # whose episode ended in the last step
 
-    def _info(self, results: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    def _info(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
-        numbers = results.astype(np.float64)
-        squares = numbers[RESULT_SQUARE : RESULT_SQUARE + 5] * self.task.road.variance
-        info = dict(zip(MEAN_SQUARES, squares, strict=True))
-        info["damping"] = numbers[RESULT_DAMPING]
-        info["speed"] = numbers[RESULT_SPEED] * self._metres_per_second
+        squares = interval.mean_squares.astype(np.float64) * self.task.road.variance
+        info: dict[str, Any] = dict(zip(self.task.car.mean_squares, squares, strict=True))
+        info["damping"] = interval.damping.astype(np.float64)
+        info["speed"] = interval.frequency_ratio.astype(np.float64) * self._metres_per_second
         if self.task.bandwidth[1] > 0:
-            info["bandwidth"] = numbers[RESULT_BANDWIDTH]
+            info["bandwidth"] = interval.bandwidth.astype(np.float64)
         return info | {"_" + name: mask for name in info}
 
     def _forced(self, chosen: dict[str, Any]) -> npt.NDArray[np.float64]:
         """The operating points that the options fix, see `Plant.forced`; NaN too where one of them is None."""
         drawn = {name: value for name, value in chosen.items() if isinstance(value, (list, tuple)) and None in value}
         known = {name: [getattr(self.task, name)[0] if each is None else each for each in drawn[name]] for name in drawn}
-        forced = self._plant.forced(chosen | known)
+        forced = self.plant.forced(chosen | known)
         for row, name in enumerate(OPERATING_POINT):
             if name in drawn:
                 forced[row, [each is None for each in drawn[name]]] = np.nan
@@ -115,18 +112,18 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """Seed the masked environments: s + i from an integer s, or one each from a sequence, None leaving one as it is."""
         n = self.num_envs
         if seed is None:
-            if self._plant.started:
+            if self.plant.started:
                 return
             seed = int(self.np_random.integers(2**63))
         if isinstance(seed, int):
             seeds = np.arange(n, dtype=np.uint64) + np.uint64(seed)
         else:
-            if not self._plant.started:
+            if not self.plant.started:
                 fresh = self.np_random.integers(2**63, size=n).tolist()
                 seed = [new if given is None else given for given, new in zip(seed, fresh, strict=True)]
             mask = mask & np.array([given is not None for given in seed])
             seeds = np.array([given or 0 for given in seed], np.uint64)
-        self._plant.seed(seeds, mask)
+        self.plant.seed(seeds, mask)
 
     def _checked_seed(self, seed: Any) -> int | list[int | None] | None:
         """``seed`` as Python's integers, with room for the last environment; see `_seeds`."""
@@ -156,37 +153,37 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         if not usable or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ParameterError(f"option 'reset_mask' must be a boolean array of shape ({self.num_envs},), got {shown(mask)}")
         mask = np.require(mask, np.bool_, ["C", "A", "W"])  # as compiled code takes it
-        if not self._plant.started and not mask.all():
+        if not self.plant.started and not mask.all():
             raise ResetNeeded("the first reset must reset every environment")
         forced = self._forced(chosen)
         checked = self._checked_seed(seed)
         super().reset(seed=checked if isinstance(checked, int) else None)
         self._seeds(checked, mask)
-        observations, results = self._plant.reset(forced, mask)
-        info = self._info(results, mask.copy())
+        began = self.plant.reset(forced, mask)
+        info = self._info(began, mask.copy())
         info["damping"][:] = 0.0  # no interval has been driven
         self._over = self._over & ~mask
-        return observations, info
+        return began.observations, info
 
     def state(self) -> npt.NDArray[np.float64]:
-        """The state (Y, X, Z, U, nu, delta) of car and road, shape (num_envs, 6), whatever is observed.
+        """The states of the car, then (Z, U, nu, delta), whatever is observed; shape (num_envs, 6) with one mass, (Y, X) first.
 
-        The first four are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0 on
-        a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
+        States and level are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0
+        on a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
         """
-        return np.stack([self._plant.row(offset) for offset in STATE], axis=1).astype(float)
+        return np.stack([self.plant.row(name) for name in state_names(self.task)], axis=1).astype(float)
 
     def step(
         self, actions: Floats
     ) -> tuple[Floats, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
         """Drive one control interval with the damping ratios ``actions``, shape (num_envs, 1)."""
-        if not self._plant.started:
+        if not self.plant.started:
             raise ResetNeeded("call reset before step")
         damping = single_precision("actions", actions, (self.num_envs, 1))
         if not np.isfinite(damping).all():
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
-        observations, results, truncated, final = self._plant.step(damping.reshape(-1))
-        info = self._info(results, self._all.copy())
+        interval = self.plant.step(damping.reshape(-1))
+        truncated, info = interval.truncated, self._info(interval, self._all.copy())
         if self._next_step:
             if self._over.any():  # they have only begun an episode, on a road of its own
                 state = self.state()[self._over]
@@ -200,5 +197,5 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             info["final_info"], info["_final_info"] = final_info, truncated.copy()
             info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None, object), truncated.copy()
             for i in np.flatnonzero(truncated):
-                info["final_obs"][i] = final[i]
-        return observations, results[REWARD], np.zeros(self.num_envs, np.bool_), truncated, info
+                info["final_obs"][i] = interval.final_observations[i]
+        return interval.observations, interval.reward, np.zeros(self.num_envs, np.bool_), truncated, info

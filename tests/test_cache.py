@@ -17,12 +17,14 @@ from agents.cli import main
 from roadgym import cache
 
 PACKAGE = Path(roadgym.__file__).parent
-# make_scratch and its constants are in kernel.py, they are computed from a constant of compiled.py
+# signal_row is in kernel.py, it is computed from a constant of compiled.py
 SCRATCH = """
 import numpy as np, roadgym
 from roadgym import kernel
 assert roadgym.__file__.startswith({0!r}), roadgym.__file__
-print(len(kernel.make_scratch(np.zeros(1), np.ones(20))), len(kernel.make_scratch.stats.cache_hits))
+plant = np.zeros(1, kernel.PLANT)
+plant["signals"] = 20
+print(kernel.signal_row(plant[0]), len(kernel.signal_row.stats.cache_hits))
 """
 
 
@@ -34,7 +36,7 @@ def copy(tmp_path):
 
 
 def run(copy, **environment):
-    """(size of a scratch, signatures found in the cache, what is said) in a process of its own."""
+    """(where a row is, signatures found in the cache, what is said) in a process of its own."""
     known = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     done = subprocess.run(
         [sys.executable, "-c", SCRATCH.format(str(copy))],
@@ -61,7 +63,7 @@ def test_edit_of_another_module_is_compiled_anew(copy, tmp_path):
 
 
 def test_works_where_nothing_can_be_written(copy):
-    for folder in (copy / "roadgym", copy / "roadgym" / "roads"):
+    for folder in (copy / "roadgym", copy / "roadgym" / "roads", copy / "roadgym" / "cars"):
         (folder / "__pycache__").write_text("no folder, so that nobody can write there")
     size, hits, said = run(copy, HOME="/dev/null/x", LOCALAPPDATA="/dev/null/x")
     assert (size, hits) == (20 * 64, 0)

@@ -25,7 +25,15 @@ def follow(recipe):
 
 
 def test_every_recipe_is_followed_here():
-    assert set(RECIPES) == {"A controller", "A reward"}
+    assert set(RECIPES) == {"A car", "A controller", "A reward"}
+
+
+def test_recipe_of_a_car():
+    said = follow("A car")
+    damping, cost = map(float, said.splitlines()[0].split())
+    assert (round(damping, 2), round(cost, 1)) == (0.23, 10.0)
+    assert "mean square of the seat acceleration" in said
+    assert "none failed: the plant is certified" in said
 
 
 def test_recipe_of_a_controller():

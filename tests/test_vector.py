@@ -55,7 +55,7 @@ def test_environment_i_equals_the_single_one_with_seed_plus_i(plant):
 def test_results_do_not_depend_on_batch_size_or_threads():
     small, large = QuarterCarVectorEnv(5, **RANGES), QuarterCarVectorEnv(5000, threads=1, **RANGES)
     threaded = QuarterCarVectorEnv(5000, threads=2, **RANGES)
-    assert threaded._plant.threads == 2
+    assert threaded.plant.threads == 2
     for envs in (small, large, threaded):
         envs.reset(seed=7)
     for action in actions_for(5000, 5):
@@ -72,7 +72,7 @@ def test_one_pool_serves_every_number_of_threads():
     before = count()
     for threads in range(2, 13):
         envs = QuarterCarVectorEnv(12 * 32 * 64, threads=threads)
-        assert envs._plant.threads == threads
+        assert envs.plant.threads == threads
         envs.reset(seed=0)
     assert count() <= max(before, 11)
 

@@ -249,6 +249,7 @@ def run_certify(chosen: argparse.Namespace) -> int:
             speed=chosen.speed,
             damping=chosen.damping,
             natural_frequency=chosen.natural_frequency,
+            car=chosen.car,
             seed=chosen.seed,
             lanes=chosen.lanes,
             report=report,
