@@ -39,6 +39,14 @@ def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESE
     return dict(options)
 
 
+def check_render_mode(mode: Any, known: Sequence[str]) -> None:
+    """Raise unless ``mode`` is None or a known one, and what it needs is installed."""
+    if mode is not None:
+        if not isinstance(mode, str) or mode not in known:
+            raise ParameterError(f"unknown render_mode {shown(mode)}; known: {', '.join(known)}")
+        from . import rendering  # noqa: F401  (a missing pygame is told here, not in the middle of a drive)
+
+
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
 
@@ -73,12 +81,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         render_mode: str | None = None,
         **parameters: Unpack[TaskParameters],
     ) -> None:
-        if render_mode is not None:
-            if not isinstance(render_mode, str) or render_mode not in self.metadata["render_modes"]:
-                raise ParameterError(
-                    f"unknown render_mode {shown(render_mode)}; known: {', '.join(self.metadata['render_modes'])}"
-                )
-            from . import rendering  # noqa: F401  (a missing pygame is told here, not in the middle of a drive)
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self.task = make_task(**parameters)
         self.render_mode = render_mode
         self.render_title = "Quarter car"

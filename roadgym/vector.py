@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from .env import RESET_OPTIONS, check_options, state_names
+from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, state_names
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Interval, Plant
 from .task import OPERATING_POINT, TaskParameters, make_task
+
+if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
+    from .rendering import History, Picture
 
 Floats = npt.NDArray[np.float32]
 
@@ -35,8 +39,9 @@ def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     """``num_envs`` quarter cars, stepped together; environment i with seed s equals `QuarterCarEnv` with seed s + i bit by bit.
 
-    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments. A batch
-    draws no pictures; ``gymnasium.make_vec(..., vectorization_mode="sync", render_mode="rgb_array")`` does, one for each.
+    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments. With
+    ``render_mode="rgb_array"`` `render` gives the picture of each, as Gymnasium's ``HumanRendering`` and ``RecordVideo`` for
+    vector environments take them; this needs the extra ``render``.
 
     Args:
         num_envs: number of environments.
@@ -50,6 +55,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     All others are the parameters of `roadgym.task.make_task`.
     """
 
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": QuarterCarEnv.metadata["render_fps"]}  # noqa: RUF012
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -57,18 +64,17 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         max_episode_steps: int | None = 500,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **parameters: Unpack[TaskParameters],
     ) -> None:
         self.num_envs = whole("num_envs", num_envs, of="num_envs")
         mode = make_autoreset_mode(autoreset_mode)
         limit = 0 if max_episode_steps is None else whole("max_episode_steps", max_episode_steps, low=-1)
         limit = 0 if limit == -1 else limit and whole("max_episode_steps", limit, of="max_episode_steps")
-        if render_mode is not None:
-            raise ParameterError(f"render_mode must be None: a batch draws no pictures, got {shown(render_mode)}")
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self.task = make_task(**parameters)
         self.autoreset_mode = mode  # as Gymnasium's own vector environments have it
-        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.render_mode = render_mode
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
@@ -87,6 +93,11 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
         self._all = np.ones(self.num_envs, np.bool_)
         self._over = ~self._all  # whose episode ended in the last step
+        self.histories: list[History] = []  # of each environment, for pictures, where there is a render_mode
+        self._picture: Picture | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_picture": None}  # a copy draws for itself
 
     def _info(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
@@ -163,6 +174,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         info = self._info(began, mask.copy())
         info["damping"][:] = 0.0  # no interval has been driven
         self._over = self._over & ~mask
+        self._begin_histories(mask)
         return began.observations, info
 
     def state(self) -> npt.NDArray[np.float64]:
@@ -173,6 +185,36 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """
         return np.stack([self.plant.row(name) for name in state_names(self.task)], axis=1).astype(float)
 
+    def _begin_histories(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Forget what the masked environments drove before the episode that they are at the start of."""
+        if self.render_mode is not None:
+            from .rendering import History
+
+            self.histories = self.histories or [History(self.plant, i) for i in range(self.num_envs)]
+            for i in np.flatnonzero(mask):
+                self.histories[i] = History(self.plant, int(i))
+
+    def _trace(self, damping: Floats) -> Interval:
+        """`Plant.step`, remembered for pictures."""
+        interval, angle, level = self.plant.trace(damping)
+        begun = interval.truncated if self._same_step else self._over
+        for i in np.flatnonzero(~begun):
+            self.histories[i].note(interval, angle, level)
+        self._begin_histories(begun)
+        return interval
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """The pictures now, one of each environment, as `QuarterCarEnv` draws it."""
+        if self.render_mode is None:
+            logger.warn("render was called without a render_mode; make_vec takes render_mode='rgb_array'")
+            return None
+        if not self.histories:
+            raise ResetNeeded("call reset before render")
+        from .rendering import Picture
+
+        picture = self._picture = self._picture or Picture(self.task)
+        return tuple(picture.draw(history, "Quarter car").copy() for history in self.histories)
+
     def step(
         self, actions: Floats
     ) -> tuple[Floats, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
@@ -182,7 +224,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         damping = single_precision("actions", actions, (self.num_envs, 1))
         if not np.isfinite(damping).all():
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
-        interval = self.plant.step(damping.reshape(-1))
+        interval = self.plant.step(damping.reshape(-1)) if self.render_mode is None else self._trace(damping.reshape(-1))
         truncated, info = interval.truncated, self._info(interval, self._all.copy())
         if self._next_step:
             if self._over.any():  # they have only begun an episode, on a road of its own
