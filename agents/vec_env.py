@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
 
 from roadgym import ENVIRONMENT_ID
 from roadgym.env import QuarterCarEnv, check_options
+from roadgym.installation import needs
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
@@ -23,6 +22,10 @@ from roadgym.vector import QuarterCarVectorEnv
 from .actions import damping_from_action as damping_from_action
 from .features import Sight as Sight
 from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, wrap
+
+with needs("train"):
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class Info(dict[str, Any]):

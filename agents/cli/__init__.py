@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 from roadgym import ParameterError, PlantError
 from roadgym.component import import_modules
+from roadgym.installation import InstallationError
 
 from ..errors import AgentError
 from .options import environment_from
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         import_modules(chosen.imports)
         code: int | None = chosen.run(chosen)
         print(end="", flush=True)
-    except (ParameterError, PlantError, AgentError) as error:
+    except (ParameterError, PlantError, AgentError, InstallationError) as error:
         return _fault(chosen.command, str(error))
     except KeyboardInterrupt:
         remedies = {

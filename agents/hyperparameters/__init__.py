@@ -8,13 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 import roadgym
+from roadgym.installation import needs
 from roadgym.parameters import ParameterError, shown
 
 from ..agent import ALGORITHMS
 from ..features import FEATURES
+
+with needs("train"):
+    import yaml
 
 LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
 MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
