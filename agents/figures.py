@@ -18,7 +18,7 @@ from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 from .controllers import OptimalFeedback
-from .evaluation import OperatingPoint, Predictor, drive, evaluate, observed_by
+from .evaluation import OperatingPoint, Predictor, answers, drive, evaluate, observed_by
 from .names import figure_label, file_names
 from .records import Purpose, stream_seed
 from .results import Comparison, Picture
@@ -227,7 +227,7 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
         for agent in agents:
             point = {"speed": ratios / (1 + ratios), "bandwidth": np.full(len(speeds), 2 * bandwidth / (1 + 2 * bandwidth))}
             seen = np.stack([point[signal] for signal in observed_by(agent, task)], axis=1).astype(np.float32)
-            damping = agent.predict(seen)[0][:, 0]
+            damping = answers(agent, task)(seen)[0][:, 0]
             pairs = zip(speeds.tolist(), damping.tolist(), strict=True)
             costs = [theoretical_cost(task, d, speed, bandwidth) for speed, d in pairs]
             excess = np.array(costs) / [float(point.cost) for point in best] - 1

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import roadgym
 from roadgym import files
 from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
-from .advantage import has_advantage
-from .advantage_reward import AdvantageReward
 from .agent import (
     ALGORITHMS,
     CONTENT,
@@ -33,8 +29,10 @@ from .agent import (
     load,
     read_description,
     save,
+    task_of,
 )
 from .errors import AgentError
+from .hyperparameters import HYPERPARAMETERS, load_hyperparameters
 from .records import (
     LOCK,
     PACKAGES,
@@ -48,10 +46,10 @@ from .records import (
     write_atomically,
 )
 from .vec_env import QuarterCarVecEnv
+from .wrappers import training_reward, wrapper_name
 
 with needs("train"):
     import torch
-    import yaml
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.noise import NormalActionNoise
@@ -102,61 +100,8 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "policy_kwargs",
     "noise_std",
     "training_reward",
+    "wrappers",
 )
-LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
-MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
-HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
-
-
-def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict[str, Any]:
-    """Hyperparameters of ``algorithm`` for this environment.
-
-    Args:
-        algorithm: a key of `ALGORITHMS`.
-        file: a YAML file, or the name of one of those in `HYPERPARAMETERS`, such as "ppo_stacked"; by default the algorithm's.
-
-    Raises:
-        ParameterError: an unknown algorithm, or a file that holds no hyperparameters for this environment.
-    """
-    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
-        name = algorithm if isinstance(algorithm, str) else type(algorithm).__name__
-        raise ParameterError(f"unknown algorithm {name!r}; known: {', '.join(ALGORITHMS)}")
-    chosen = algorithm if file is None else file
-    shipped = [path.stem for path in sorted(HYPERPARAMETERS.glob("*.yaml"))]
-    path = HYPERPARAMETERS / f"{chosen}.yaml" if str(chosen) in shipped else Path(chosen)
-    try:
-        content = _read_yaml(path)
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ParameterError(
-            f"cannot read hyperparameters from {str(path)!r}: {reason}; by name there are: {', '.join(shipped)}"
-        ) from None
-    found = content.get(roadgym.ENVIRONMENT_ID) if isinstance(content, dict) else None
-    if not isinstance(found, dict):
-        raise ParameterError(f"{str(path)!r} holds no hyperparameters for {roadgym.ENVIRONMENT_ID}")
-    return found
-
-
-def _read_yaml(path: Path) -> Any:
-    """The content of a YAML file, of a size that hyperparameters can have; ValueError where it is larger."""
-    with path.open("rb") as file:
-        text = file.read(LARGEST_FILE + 1)
-    if len(text) > LARGEST_FILE:
-        raise ValueError(f"it has more than {LARGEST_FILE} bytes")
-    node = yaml.compose(text.decode("utf-8"), yaml.SafeLoader)
-    sizes: dict[int, int] = {}
-
-    def size(node: yaml.Node) -> int:
-        """Number of nodes under ``node``, each as often as it is named."""
-        if id(node) not in sizes:
-            sizes[id(node)] = MOST_NODES + 1  # what it has if it holds itself
-            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-            sizes[id(node)] = 1 + sum(map(size, itertools.chain(*parts) if isinstance(node, yaml.MappingNode) else parts))
-        return sizes[id(node)]
-
-    if node is not None and size(node) > MOST_NODES:
-        raise ValueError(f"it has more than {MOST_NODES} entries, its aliases written out")
-    return yaml.safe_load(text)
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -202,18 +147,6 @@ def make_model(
     return model
 
 
-def training_reward(hyperparameters: Mapping[str, Any], task: Task) -> str:
-    """What is learned from: "cost", or "advantage" where the hyperparameters ask for it and theory knows it on this plant.
-
-    Raises:
-        ParameterError: hyperparameters that ask for something else.
-    """
-    chosen = hyperparameters.get("training_reward", "cost")
-    if chosen not in ("cost", "advantage"):
-        raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
-    return chosen if has_advantage(task) else "cost"
-
-
 def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]) -> VecNormalize:
     """The training environments, with rewards scaled by their running spread if the hyperparameters ask for it."""
     batch = QuarterCarVecEnv(
@@ -222,13 +155,14 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
         features=hyperparameters.get("features"),
         frame_stack=hyperparameters.get("frame_stack", 1),
         damping_levels=hyperparameters.get("damping_levels"),
+        training_reward=hyperparameters.get("training_reward", "cost"),
+        wrappers=hyperparameters.get("wrappers", ()),
     )
-    envs = AdvantageReward(batch) if training_reward(hyperparameters, batch.task) == "advantage" else batch
     options = dict(hyperparameters.get("normalize", {}))
     if options.pop("norm_obs", False):
         raise ParameterError("norm_obs must be false: the environment scales its observations")
     return VecNormalize(
-        envs,
+        batch,
         norm_obs=False,
         norm_reward=bool(options.pop("norm_reward", False)),
         gamma=hyperparameters.get("gamma", 0.99),
@@ -275,6 +209,8 @@ def train(
     timesteps: int | None = None,
     checkpoint_interval: int = 100_000,
     resume: bool = False,
+    wrappers: Sequence[str | Callable[[Any], Any]] = (),
+    imports: Sequence[str] = (),
     tensorboard: bool = False,
     report: Any = silent,
 ) -> Agent:
@@ -291,6 +227,12 @@ def train(
         resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold. The noise of the
             second part is new, so the result differs from that of one unbroken run, but repeats. A replay buffer is not
             saved: an off-policy algorithm fills it anew, for learning_starts timesteps of random damping, before it learns on.
+        wrappers: functions or classes, or "module:name" of them, around the batch of training, the innermost first, after those
+            of the hyperparameters: Gymnasium's vector wrappers or one's own. They may pay other rewards, made of the infos, and
+            map actions as a ``VectorActionWrapper`` does, which the agent repeats wherever it drives; observations must stay
+            as they are. Costs are evaluated without them.
+        imports: modules that register components of one's own, which `agents.load` imports again where one is not known. Those
+            that hold the components' classes need not be named.
         tensorboard: write logs for TensorBoard under ``folder``.
         report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``.
 
@@ -308,13 +250,18 @@ def train(
     else:
         _refuse_agent(path)
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
+        if wrappers:
+            named = [*hyperparameters.get("wrappers", ()), *map(wrapper_name, wrappers)]
+            hyperparameters = {**hyperparameters, "wrappers": named}
         environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
+        task = make_task(**environment)
         description = {
             "format": FORMAT,
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": plain(hyperparameters),
-            "training_reward": training_reward(hyperparameters, make_task(**environment)),
+            "training_reward": training_reward(hyperparameters.get("training_reward", "cost"), task),
+            "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),
             "command": " ".join(sys.argv),
@@ -345,7 +292,14 @@ def train(
                 raise
             save(path, model, description)
         description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
-    return Agent(model, description, make_task(**description["environment"]))
+    return Agent(model, description, task_of(description))
+
+
+def _homes(task: Task, imports: Sequence[str]) -> list[str]:
+    """The modules that must be imported for the components of ``task``: those named, then those that have their classes."""
+    named = [component_type.__module__ for component_type in map(type, (task.road, task.speed_noise, task.car))]
+    own = [name for name in named if name.partition(".")[0] not in ("roadgym", "builtins", "__main__")]
+    return list(dict.fromkeys([*imports, *own]))
 
 
 def _refuse_agent(path: Path) -> None:

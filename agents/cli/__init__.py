@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from roadgym import ParameterError, PlantError
+from roadgym.component import import_modules
 from roadgym.installation import InstallationError
 
 from ..errors import AgentError
@@ -31,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = make_parser()
     chosen = parser.parse_args(arguments)
     try:
+        import_modules(chosen.imports)
         code: int | None = chosen.run(chosen)
         print(end="", flush=True)
     except (ParameterError, PlantError, AgentError, InstallationError) as error:

@@ -40,20 +40,31 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     whole("seed", chosen.seed, low=0)
 
 
+def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Those of the file, with the wrappers of the command line."""
+    from ..hyperparameters import load_hyperparameters
+    from ..wrappers import wrapper_name
+
+    found = load_hyperparameters(chosen.algorithm, chosen.hyperparameters)
+    added = {"wrappers": [*found.get("wrappers", ()), *map(wrapper_name, chosen.wrappers)]}
+    return found | (added if chosen.wrappers else {})
+
+
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
     from ..progress import training_progress
-    from ..training import load_hyperparameters, train
+    from ..training import train
 
     with training_progress() as report:
         return train(
             folder,
             algorithm=chosen.algorithm,
             environment=environment,
-            hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
+            hyperparameters=_hyperparameters(chosen),
             seed=seed,
             timesteps=chosen.timesteps,
             checkpoint_interval=chosen.checkpoint_interval,
             resume=resume,
+            imports=chosen.imports,
             tensorboard=getattr(chosen, "tensorboard", False),
             report=report,
         )
@@ -70,7 +81,6 @@ def run_tune(chosen: argparse.Namespace) -> None:
     """``roadgym tune``."""
     from ..progress import tuning_progress
     from ..records import make_output
-    from ..training import load_hyperparameters
     from ..tuning import tune, write_best
 
     if chosen.output:
@@ -82,7 +92,7 @@ def run_tune(chosen: argparse.Namespace) -> None:
             trials=chosen.trials,
             timesteps=chosen.timesteps,
             environment=environment_from(chosen),
-            hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
+            hyperparameters=_hyperparameters(chosen),
             seed=chosen.seed,
             report=report,
         )
@@ -342,7 +352,6 @@ def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str,
     """Does the folder hold an agent that this very command began? Then it is resumed; any other is an error of training."""
     from ..agent import DESCRIPTION, load
     from ..records import plain
-    from ..training import load_hyperparameters
 
     if not (folder / DESCRIPTION).exists():
         return False
@@ -350,7 +359,7 @@ def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str,
     asked = {
         "algorithm": chosen.algorithm,
         "environment": plain(environment),
-        "hyperparameters": plain(load_hyperparameters(chosen.algorithm, chosen.hyperparameters)),
+        "hyperparameters": plain(_hyperparameters(chosen)),
         "seed": seed,
     }
     return all(known.get(name) == value for name, value in asked.items())

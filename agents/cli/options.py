@@ -102,6 +102,14 @@ def add_training(parser: argparse.ArgumentParser, *, checkpoints: bool = True) -
         "(the algorithm's own)",
     )
     group.add_argument(
+        "--wrapper",
+        dest="wrappers",
+        action="append",
+        default=[],
+        metavar="MODULE:NAME",
+        help="a Gymnasium vector wrapper around the batch of training, such as one with your own reward; may be given again",
+    )
+    group.add_argument(
         "--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps"
     )
     if checkpoints:

@@ -199,4 +199,13 @@ def make_parser() -> argparse.ArgumentParser:
 def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary, epilog=f"example: {example}")
     parser.set_defaults(run=run)
+    parser.add_argument(
+        "--import",
+        dest="imports",
+        type=nonempty,
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="import a Python module first, for the components of your own that it registers; may be given again",
+    )
     return parser
