@@ -13,13 +13,12 @@ from roadgym.task import Task, make_task
 from .agent import Agent
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller
 from .evaluation import Predictor, evaluate
-from .names import name_folders
+from .names import name_folders, title
 from .records import make_folder, plain, versions, write_atomically
 from .report import (
-    TITLES,
     above,
     adjusted_by,
-    columns,
+    blocks,
     make_report,
     mean_gap_closed,
     notes,
@@ -55,7 +54,6 @@ __all__ = [  # with names that live in `agents.results` and `agents.report`
     "LEAST_ROOM",
     "RIVALS",
     "SPEEDS",
-    "TITLES",
     "Comparison",
     "MeanGap",
     "Row",
@@ -63,7 +61,7 @@ __all__ = [  # with names that live in `agents.results` and `agents.report`
     "above",
     "adjusted_by",
     "best_feedbacks",
-    "columns",
+    "blocks",
     "compare",
     "constant_damping",
     "error_over_seeds",
@@ -118,7 +116,7 @@ def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], d
             raise ParameterError(f"agents must have one environment, but for what they observe; {group[0]!r} has another one")
     if len(groups) == 1:
         return {AGENT: list(agents.values())}, plants[0]
-    names = name_folders([group[0] for group in groups], {*CONTROLLERS, *TITLES, *TITLES.values()})
+    names = name_folders([group[0] for group in groups], {AGENT, *CONTROLLERS, *map(title, CONTROLLERS)})
     return {name: [agents[folder] for folder in group] for name, group in zip(names, groups, strict=True)}, plants[0]
 
 
@@ -226,4 +224,5 @@ def write(comparison: Comparison, folder: str | Path, report: Callable[[str, int
     }
     for name, content in contents.items():
         write_atomically(path / name, content)
-    return [*(path / name for name in contents), *(figure.path for figure in figures)]
+    drawn = [file for figure in figures for file in (figure.path, figure.narrow) if file is not None]
+    return [*(path / name for name in contents), *drawn]
