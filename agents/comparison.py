@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from .agent import Agent
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller
 from .evaluation import Predictor, evaluate
 from .names import name_folders, title
+from .progress import work_progress
 from .records import make_folder, plain, versions, write_atomically
 from .report import (
     above,
@@ -157,7 +159,8 @@ def compare(
         speeds, bandwidths: the grid of operating points, m/s and 1.
         controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS` that the plant
             allows.
-        episodes, seed, report: as for `agents.evaluate`.
+        episodes, seed: as for `agents.evaluate`.
+        report: called as ``report(what, done, in all)``; by default progress is told on the error stream.
 
     Raises:
         ParameterError: a parameter out of range, or a signal missing that a controller needs.
@@ -166,23 +169,24 @@ def compare(
     plant = observed_in_full(environment)
     task = make_task(**plant)
     rivals = make_rivals(task, controllers)
-    for rival in rivals.values():
-        if isinstance(rival, OptimalFeedback):
-            rival.report = report
     drivers: dict[str, Predictor] = {}
     for name, seeds in named.items():
         if name in rivals or not seeds:
             raise ParameterError(f"agents must have names of their own and at least one agent each, got {name!r}")
         drivers.update({f"{name}, seed {k + 1} of {len(seeds)}": agent for k, agent in enumerate(seeds)})
-    evaluations = evaluate(
-        {**drivers, **rivals},
-        environment=plant,
-        speeds=speeds,
-        bandwidths=bandwidths,
-        episodes=episodes,
-        seed=seed,
-        report=report,
-    )
+    with work_progress() if report is None else contextlib.nullcontext(report) as tell:
+        for rival in rivals.values():
+            if isinstance(rival, OptimalFeedback):
+                rival.report = tell
+        evaluations = evaluate(
+            {**drivers, **rivals},
+            environment=plant,
+            speeds=speeds,
+            bandwidths=bandwidths,
+            episodes=episodes,
+            seed=seed,
+            report=tell,
+        )
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
     rows, references = make_rows(task, learned, evaluations)

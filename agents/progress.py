@@ -1,13 +1,16 @@
-"""Progress on the terminal's error stream: a bar where there is a terminal, else a line now and then."""
+"""Progress on the terminal's error stream: a bar where there is a terminal, else a line now and then, as in a notebook."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+SECONDS = 10.0  # between lines on one piece of work, where there is no terminal
 
 
 @contextlib.contextmanager
@@ -15,12 +18,13 @@ def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
     """A function of (what, done, in all, remark)."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        told: dict[str, int] = {}
+        told, finished = time.monotonic(), set()
 
         def tell(what: str, done: int, total: int, remark: str) -> None:
-            quarter = 4 * done // total
-            if told.get(what, 0) < quarter:
-                told[what] = quarter
+            nonlocal told
+            if what not in finished and (done == total or time.monotonic() - told > SECONDS):
+                told = time.monotonic()
+                finished.update([what] if done == total else [])
                 print(f"{what}: {done} of {total}{remark and ', ' + remark}", file=sys.stderr, flush=True)
 
         yield tell

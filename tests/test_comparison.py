@@ -301,10 +301,12 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys, monkeypatch):
     assert run("compare", "--output", output, "--seeds", 2, "--hyperparameters", hyperparameters, *compared) == 0
     assert "Mean of 2 training seeds" in capsys.readouterr().out
     assert agents.load(output / "agent-1").description["seed"] == 1
-    # other hyperparameters in the same folder are another agent: refused, and the first one stays
+    # other hyperparameters in the same folder are another agent: refused, with the way out, and the first one stays
     hyperparameters.write_text(HYPERPARAMETERS.replace("[8]", "[9]"))
     assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 2
-    assert "holds an agent already" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "holds an agent of other options, agent-0: choose another folder with --output" in said
     assert agents.load(output / "agent-0").description["hyperparameters"]["policy_kwargs"]["net_arch"] == [8]
     assert run("train", "--output", output / "agent-0", "--resume", "--timesteps", 600) == 0
     assert agents.load(output / "agent-0").description["timesteps"] >= 600
