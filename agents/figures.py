@@ -225,7 +225,8 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
         best = [optimum(task, speed, bandwidth) for speed in speeds.tolist()]
         colour = ("#0072B2", "#009E73", "#CC79A7", "#E69F00")[number % 4]
         label = f"$\\delta = {bandwidth:g}$" if bandwidth else task.road.kind
-        left.plot(ratios, [point.damping for point in best], color=colour, label=f"analytic, {label}")
+        look: dict[str, Any] = {"color": colour, "marker": "osD^"[number % 4], "markevery": (3 * number, 12), "markersize": 4}
+        left.plot(ratios, [point.damping for point in best], label=f"analytic, {label}", **look)
         for agent in agents:
             point = {"speed": ratios / (1 + ratios), "bandwidth": np.full(len(speeds), 2 * bandwidth / (1 + 2 * bandwidth))}
             seen = np.stack([point[signal] for signal in observed_by(agent, task)], axis=1).astype(np.float32)
@@ -233,10 +234,8 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
             pairs = zip(speeds.tolist(), damping.tolist(), strict=True)
             costs = [theoretical_cost(task, d, speed, bandwidth) for speed, d in pairs]
             excess = np.array(costs) / [float(point.cost) for point in best] - 1
-            left.plot(
-                ratios, damping, "--", color=colour, linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None
-            )
-            right.plot(ratios, 100 * excess, color=colour, label=label if agent is agents[0] else None)
+            left.plot(ratios, damping, "--", linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None, **look)
+            right.plot(ratios, 100 * excess, "--", linewidth=1.2, **look)
             if excess.max() > largest:
                 largest, place = float(excess.max()), OperatingPoint(float(speeds[excess.argmax()]), bandwidth)
     left.set_ylabel("damping ratio $D$")
@@ -244,7 +243,7 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
     for axis in (left, right):
         axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
         axis.grid(visible=True, linewidth=0.3)
-        axis.legend(fontsize=8)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2 * len(bandwidths), fontsize=8)
     save_figure(figure, path)
     at = f"nu = {task.frequency_ratio(place.speed):.3g}" + (f", delta = {place.bandwidth:g}" if place.bandwidth else "")
     who = name if len(agents) == 1 else f"the {len(agents)} training seeds of {name}"

@@ -39,6 +39,8 @@ def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESE
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
 
+    The car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own.
+
     - Action: D itself, `Box(damping_range)`, shape (1,), float32. It saturates at the range, as an actuator does; an action
       that is not finite or has another shape raises.
     - Reward: minus the weighted sum of the interval's mean squares over the road's variance E Z^2. With the default weights the
