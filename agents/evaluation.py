@@ -20,6 +20,7 @@ from roadgym.roads import HarmonicRoad
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
+from .names import title
 from .records import Purpose, stream_seed
 
 FEWEST_EPISODES = 16  # a standard error from fewer is itself uncertain by more than a fifth
@@ -219,7 +220,7 @@ def evaluate(
                     square += infos[signal]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
-                report(f"driving {turn} of {len(constants) + len(controllers)}: {name}", step + 1, skipped + measured)
+                report(f"driving {turn} of {len(constants) + len(controllers)}: {title(name)}", step + 1, skipped + measured)
         return (
             (total / measured).reshape(shape),
             (squares / (measured * task.road.variance)).reshape(-1, *shape),

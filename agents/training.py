@@ -106,6 +106,7 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "noise_std",
     "training_reward",
 )
+LARGEST_SEED = 2**32 - 1  # of torch and NumPy, which stable-baselines3 seeds
 LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
 MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
@@ -328,7 +329,8 @@ def train(
         ParameterError: a parameter out of range, or other than that of the agent that is resumed.
         AgentError: the folder cannot be written, is in use by another training, holds an agent already, or none to resume.
     """
-    whole("seed", 0 if seed is None else seed, low=0)
+    if whole("seed", 0 if seed is None else seed, low=0) > LARGEST_SEED:
+        raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
     whole("checkpoint_interval", checkpoint_interval)
     path = Path(folder)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other

@@ -9,12 +9,14 @@ import sys
 import tempfile
 import time
 
+import numpy as np
 import pytest
 
 import agents
 from agents.cli import main, make_parser
 from agents.controllers import CONTROLLERS
 from agents.names import CONTROLLERS_SHOWN
+from agents.training import silent
 
 HYPERPARAMETERS = """
 roadgym/QuarterCar-v0:
@@ -168,6 +170,25 @@ def test_terminated_film_leaves_nothing_half_written(tmp_path):
     assert working.returncode == 128 + signal.SIGTERM
     assert said.splitlines()[-1] == "roadgym drive: interrupted"
     assert not list(tmp_path.iterdir())
+
+
+def test_work_that_memory_does_not_hold_is_told_in_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("analysis.explorer.write", lambda *_: np.empty(2**56))
+    assert main(["explore", "--output", str(tmp_path / "e.html")]) == 2
+    assert capsys.readouterr().err == "roadgym explore: this takes more memory than there is\n"
+
+
+def test_progress_is_told_in_python_too(tmp_path, capsys):
+    hyperparameters = {"n_envs": 8, "n_timesteps": 256, "n_steps": 16, "batch_size": 64, "policy_kwargs": {"net_arch": [8]}}
+    agent = agents.train(tmp_path / "a", hyperparameters=hyperparameters)
+    assert "training: 256 of 256" in capsys.readouterr().err
+    point = {"speeds": [1.5], "bandwidths": [0.1], "controllers": ["skyhook"], "episodes": 16}
+    agents.compare(agent, environment=agent.description["environment"], **point)
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].startswith(f"driving {len(said)} of {len(said)}: skyhook: ")
+    assert any("best constant D" in line for line in said)
+    agents.train(tmp_path / "b", hyperparameters=hyperparameters, report=silent)
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", COMMANDS)

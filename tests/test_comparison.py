@@ -346,6 +346,7 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys, monkeypatch):
         (["explore", "--output", os.devnull], "is not a regular file"),
         (["drive", "--controller", "skyhook", "--output", "none/film.gif"], "cannot write 'none/film.gif': no such folder"),
         (["train", "--output", "x", "--hyperparameters", "none.yaml"], "cannot read hyperparameters"),
+        (["train", "--output", "x", "--seed", "4294967296"], "seed must be at most 4294967295"),
         (["train", "--output", "x", "--weights", "comfort=1"], "unknown reward term 'comfort'"),
         (["evaluate", "--agent", "nowhere"], "no agent in 'nowhere'"),
         (["evaluate", "--controller", "fuzzy"], "unknown controller 'fuzzy'"),

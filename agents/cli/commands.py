@@ -284,6 +284,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
     from ..agent import load
     from ..comparison import observed_in_full
     from ..driving import check_output, drive, find_rival, make_driver
+    from ..names import title
     from ..progress import work_progress
 
     if chosen.output:
@@ -298,7 +299,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
         refuse_observation(chosen)
     environment = agents[0].description["environment"] if agents else environment_from(chosen)
     task = make_task(**observed_in_full(environment))
-    drivers = [(name, make_driver(name, agent, task)) for name, agent in found]
+    drivers = [(name if agent else title(name), make_driver(name, agent, task)) for name, agent in found]
     with work_progress() as report:
         drive(
             drivers,
