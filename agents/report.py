@@ -78,12 +78,12 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         found.append(
             (
                 "gap closed",
-                f"share of the way from the best constant D to the {'best of ' if ' or ' in kinds else ''}{kinds}, with its "
+                f"share of the way from the best constant D to the best known feedback, {kinds}, with its "
                 f"{100 * CONFIDENCE:g} % interval; over 100 % where that is beaten, n/a where it saves less than "
                 f"{100 * LEAST_ROOM:g} %. The mean counts all other points alike, with negative shares too.",
             )
         )
-    elif comparison.agents:
+    else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
     for name, seeds in comparison.agents.items():
         given = theory_given(seeds[0])
@@ -179,7 +179,7 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
         if gap.closed.value < 0:
             closes = f"closes none of the gap ({percent(gap.closed)})"
         kinds = {name for name in comparison.references if name is not None}
-        best = title(kinds.pop()) if len(kinds) == 1 else "best known feedback"
+        best = "optimal feedback" if kinds == {"optimal_feedback"} else "best known feedback"
         text = f"{name} {closes} from the best constant D to the {best}, on average over {over}."
     if gap.loss is not None and gap.largest_loss is not None and gap.largest_at is not None:
         place = f"nu = {comparison.task.frequency_ratio(gap.largest_at.speed):g}"
@@ -207,7 +207,8 @@ def table(comparison: Comparison) -> str:
         lines.insert(len(lines) - len(comparison.points), "-" * max(map(len, lines)))
         text += [*lines, ""]
     said = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
-    said += [f"{term}: {sentence}" for term, sentence in notes(comparison)]
+    shares = () if comparison.agents else ("gap closed", "gain")  # columns that are on the page alone
+    said += [f"{term}: {sentence}" for term, sentence in notes(comparison) if term not in shares]
     return "\n".join(text + [textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said])
 
 
@@ -218,7 +219,7 @@ def _laid_out(name: str, columns: Sequence[tuple[str, Sequence[str]]]) -> list[s
     cells = [[cell.rjust(len(label)) for cell in column] for label, column in zip(labels, cells, strict=True)]
     body = ["  ".join(line) for line in zip(*cells, strict=True)]
     under = "  ".join(label.rjust(len(column[0])) for label, column in zip(labels, cells, strict=True))
-    width = len(under) if len(columns) > 1 else max(len(under), len("lookahead"))
+    width = max(len(under), len("lookahead")) if name and len(columns) == 1 else len(under)
     head = textwrap.wrap(name, width) if name else []
     place = str.rjust if len(columns) == 1 else str.center
     return [*(place(line, width) for line in head), *(line.rjust(width) for line in [under, *body])]

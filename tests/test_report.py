@@ -6,7 +6,9 @@ import shutil
 import subprocess
 
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from agents import figures
 from agents.comparison import Share, above, compare, percent, table, write
 from agents.controllers import CONTROLLERS, make_controller
 from agents.report import WIDTH, aligned
@@ -81,6 +83,20 @@ def test_page_says_first_what_was_found_then_how_then_numbers(comparison, tmp_pa
         assert len(re.findall(rf"<td>{name}( = [\d.]+)?</td>", page)) == 2 * len(comparison.points)
 
 
+def test_legends_cover_no_marks(comparison, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path: drawn.append(figure))
+    for narrow in (False, True):
+        figures.draw_cost_over_speed(comparison, tmp_path, narrow=narrow)
+    for figure in drawn:
+        FigureCanvasAgg(figure).draw()
+        (legend,) = figure.legends
+        assert not any(
+            axis.get_legend() or legend.get_window_extent().overlaps(axis.get_window_extent()) for axis in figure.axes
+        )
+    assert drawn[1].get_figwidth() < drawn[1].get_figheight()
+
+
 def test_table_reads_in_a_terminal_of_80_columns():
     agents = {name: [make_controller("skyhook", TASK)] for name in ("runs/a", "x" * 40)}
     found = compare(
@@ -109,3 +125,12 @@ def test_losses_beyond_all_that_is_at_stake_are_no_number():
     assert percent(Share(-63.389, -64, -62)) == "< -100 %"
     assert percent(Share(0.957, 0.95, 0.964)) == "95.7 ±0.7 %"
     assert above(Share(63.0, 62, 64)) == "64 times"
+
+
+def test_table_without_agents_and_bandwidth_explains_what_is_there():
+    found = compare(None, environment={"road": "harmonic", "speed": (0.7, 3.0)}, speeds=[1.0, 1.5], episodes=16)
+    lines = table(found).splitlines()
+    assert [line.split()[0] for line in lines[1:5]] == ["nu", lines[2], "1", "1.5"]
+    assert lines[1].startswith(" nu ")
+    explained = {line.partition(":")[0] for line in lines if re.match(r"[a-zA-Z][a-zA-Z ]*: ", line)}
+    assert explained == {"nu", "D", "cost", "theory", "less noise"}
