@@ -19,8 +19,7 @@ import gymnasium
 import numpy as np
 
 from roadgym import ENVIRONMENT_ID
-from roadgym.compiled import LANES
-from roadgym.kernel import COUNTERS, STEP
+from roadgym.installation import needs
 from roadgym.plant import Plant
 from roadgym.task import LARGEST_ANGLE, make_task
 from roadgym.vector import QuarterCarVectorEnv
@@ -87,8 +86,7 @@ def batch(num_envs: int, **options: Any) -> Callable[[], Any]:
     """A function that steps a batch once, its episodes staggered."""
     envs = QuarterCarVectorEnv(num_envs, **options)
     envs.reset(seed=0)
-    counters = envs._plant._counters.reshape(-1, COUNTERS)
-    counters[:, STEP : STEP + LANES] = np.arange(counters.shape[0] * LANES).reshape(-1, LANES) % 500
+    envs.plant.elapsed_steps = np.arange(num_envs) % 500
     actions = np.full((num_envs, 1), 0.3, np.float32)
     return lambda: envs.step(actions)
 
@@ -164,8 +162,8 @@ def single_step() -> Result:
 
 def adapter() -> Result:
     """The stable-baselines3 adapter against DummyVecEnv of as many single environments."""
-    from stable_baselines3.common.vec_env import DummyVecEnv
-
+    with needs("train"):
+        from stable_baselines3.common.vec_env import DummyVecEnv
     from .vec_env import QuarterCarVecEnv
 
     ours = QuarterCarVecEnv(64)
@@ -255,7 +253,7 @@ def euler_maruyama() -> Result:
 def memory() -> Result:
     """Bytes of state for each environment of a million."""
     plant = Plant(make_task(), 1_000_000)
-    each = (plant._state.nbytes + plant._counters.nbytes) / plant.num_envs
+    each = plant.nbytes / plant.num_envs
     return Result("state of an environment in a batch of 10^6, bytes", each, 256.0, each, (each, each), "<= 256", each <= 256)
 
 
@@ -313,8 +311,8 @@ def scaling_table(rows: list[dict[str, float]]) -> str:
 
 def draw_scaling(rows: list[dict[str, float]], path: Path) -> None:
     """Time of a batch's step over its size, and of one environment's over the substeps, with lines of slope one."""
-    from matplotlib.figure import Figure
-
+    with needs("report"):
+        from matplotlib.figure import Figure
     from .figures import save_figure
 
     figure = Figure(figsize=(9.5, 4.2), layout="constrained")

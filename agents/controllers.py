@@ -4,9 +4,10 @@
 for observations of shape (n, signals); one observation of shape (signals,) gives D of shape (1,). Unlike a bare model's action,
 which lies in [-1, 1], D is what the environment takes.
 
-The rules are applied to the one-mass car: body velocity Y', relative velocity Y' - Z', travel Y - Z. Two ideas of the
-literature are left out, since this car has nothing for them to act on: groundhook damps the motion of the wheel, which here
-follows the road; and road holding is judged by the load of the tyre, which here has no deflection.
+The rules act on the body's velocity, the relative velocity and the travel, as the car defines them: with one mass those are
+Y', Y' - Z' and Y - Z. Two ideas of the literature are left out, since that car has nothing for them to act on: groundhook damps
+the motion of the wheel, which there follows the road; and road holding is judged by the load of the tyre, which has no
+deflection.
 """
 
 from __future__ import annotations
@@ -146,15 +147,38 @@ class AnalyticOptimum(Controller):
 
 
 class SemiActive(Controller):
-    """A rule on the body's and the suspension's motion, in road standard deviations and units of time 1/w1."""
+    """A rule on the body's and the suspension's motion, in road standard deviations and units of time 1/w1.
 
-    needs: tuple[str, ...] = ("displacement", "velocity", "level", "slope", "speed")
+    It is worked out from the states of the car and the road, in the terms of the car's own signals.
+    """
+
+    seen = ("velocity", "relative_velocity", "travel")
+
+    def __init__(self, task: Task) -> None:
+        known = task.car.motion.signals
+        for name in self.seen:
+            if name not in known:
+                raise ParameterError(f"{type(self).__name__} needs a car with the signal {name!r}; known: {', '.join(known)}")
+        terms = dict.fromkeys(term for name in self.seen for term in known[name].terms)
+        own = [term for term in terms if term != "level_rate"]
+        self.needs = (*own, *(("slope", "speed") if "level_rate" in terms else ()), *self.needs)
+        super().__init__(task)
 
     def motion(self, signals: Mapping[str, Observation]) -> tuple[Observation, Observation, Observation]:
-        """Body velocity Y', relative velocity Y' - Z' with Z' = nu U, and travel Y - Z."""
-        share = signals["speed"]
-        relative = signals["velocity"] - share / (1 - share) * signals["slope"]
-        return signals["velocity"], relative, signals["displacement"] - signals["level"]
+        """Velocity of the body, relative velocity and travel; the level rises at the rate nu U."""
+
+        def value(name: str) -> Observation:
+            if name == "level_rate":
+                share = signals["speed"]
+                return share / (1 - share) * signals["slope"]
+            return signals[name]
+
+        def total(name: str) -> Observation:
+            terms = self.task.car.motion.signals[name].terms.items()
+            return np.asarray(sum(np.float32(factor) * value(term) for term, factor in terms))
+
+        velocity, relative, travel = map(total, self.seen)
+        return velocity, relative, travel
 
     def soft_acceleration(self, relative: Observation, travel: Observation) -> Observation:
         """Acceleration that the softest damper would give the body."""
@@ -239,16 +263,19 @@ class Scheduled(SemiActive):
         ParameterError: a plant outside the model of the forms: noise on the speed, an ellipse, or a road of one's own.
     """
 
-    needs = (*SemiActive.needs, "bandwidth")
+    needs = (*STATE, "speed", "bandwidth")
 
     def __init__(self, task: Task) -> None:
-        super().__init__(task)
         if not has_advantage(task):
             what = "an ellipse" if task.speed_noise is None else f"{task.speed_noise.kind} speed noise"
             plant = what if task.road.shaping_filter() is not None else f"a {task.road.kind} road"
+            if not task.car.motion.is_one_mass:
+                plant = f"a {task.car.kind} car"
             raise ParameterError(
-                f"{type(self).__name__} needs a gaussian road, or multiplicative on a circle, at a constant speed; got {plant}"
+                f"{type(self).__name__} needs a car of one mass, on a gaussian road, or multiplicative on a circle, at a "
+                f"constant speed; got {plant}"
             )
+        super().__init__(task)
         self._forms: dict[tuple[float, float], Any] = {}
 
     @abc.abstractmethod
@@ -339,6 +366,7 @@ class OptimalFeedback(Scheduled):
     def __init__(self, task: Task) -> None:
         super().__init__(task)
         analysis.feedback.check_road(task.road)
+        analysis.feedback.check_car(task.car)
         if task.speed_noise is not None:
             raise ParameterError(f"optimal_feedback needs a constant speed, got {task.speed_noise.kind} speed noise")
         self.report: Callable[[str, int, int], None] | None = None
@@ -351,7 +379,7 @@ class OptimalFeedback(Scheduled):
             road_at(task, float(f"{bandwidth:.6g}")),
             # observed in single precision: six digits make neighbouring roundings one operating point, and one file
             speed=float(f"{ratio * task.car.natural_frequency / task.road.wavenumber:.6g}"),
-            natural_frequency=task.car.natural_frequency,
+            car=task.car,
             weights=task.weights_by_name,
             bounds=task.damping_range,
             control_interval=task.control_interval,

@@ -14,9 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.control_variates import adjust, control_dampings, expected_squares, least_transient
-from roadgym.car import MEAN_SQUARES
 from roadgym.parameters import ParameterError, non_negative, positive, whole
-from roadgym.roads import HarmonicRoad
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -56,8 +54,8 @@ class Evaluation:
     Attributes:
         points: the operating points.
         costs: mean cost (minus the reward) of each episode as driven, shape (points, episodes).
-        squares: mean squares of each episode over E Z^2 as driven, in the order of `roadgym.MEAN_SQUARES`, shape
-            (5, points, episodes).
+        squares: mean squares of each episode over E Z^2 as driven, in the order of `roadgym.cars.Car.mean_squares`,
+            shape (squares, points, episodes).
         switches: crossings of the middle of the damping range a second, shape (points,).
         adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
         control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
@@ -83,7 +81,7 @@ class Evaluation:
 
     @property
     def mean_squares(self) -> npt.NDArray[np.float64]:
-        """Mean of the adjusted squares, shape (5, points)."""
+        """Mean of the adjusted squares, shape (squares, points)."""
         return np.asarray(self.adjusted_squares.mean(axis=-1))
 
     @property
@@ -191,7 +189,8 @@ def evaluate(
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
     w1 = task.car.natural_frequency
     lasts = 300 / w1 if duration is None else positive("duration", duration)
-    forgotten = (10 if isinstance(task.road, HarmonicRoad) else 5) / (task.damping_range[0] * w1)
+    # waves remember their start as long as the car does
+    forgotten = (5 if task.road.lines is None else 10) / (task.car.decay(task.damping_range[0]) * w1)
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:
@@ -204,19 +203,19 @@ def evaluate(
     if task.bandwidth[1] > 0:
         options["bandwidth"] = np.repeat([point.bandwidth for point in points], episodes)
     middle = np.float32(sum(task.damping_range) / 2)
-    shape = (len(points), episodes)
+    shape, names = (len(points), episodes), task.car.mean_squares
 
     def driven(name: str, controller: Predictor) -> tuple[npt.NDArray[np.float64], ...]:
         """Costs, squares and switches, as of `Evaluation`."""
         turn = next(turns)
-        total, squares, switches = np.zeros(number), np.zeros((len(MEAN_SQUARES), number)), np.zeros(number)
+        total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
         steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options)
         for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
             was_firm, firm = firm, damping[:, 0] > middle
             if step >= skipped:
                 total -= rewards
-                for square, signal in zip(squares, MEAN_SQUARES, strict=True):
+                for square, signal in zip(squares, names, strict=True):
                     square += infos[signal]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):

@@ -10,14 +10,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 import analysis
 from analysis.response import needs_simulation
-from roadgym.car import MEAN_SQUARES
 from roadgym.files import whole_file
+from roadgym.installation import needs
 from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -27,6 +24,11 @@ from .names import figure_label, file_names, title
 from .records import Purpose, stream_seed
 from .results import Comparison, Picture
 from .theory import optimum, road_at, theoretical_cost
+
+with needs("report"):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
 # Okabe and Ito's colours, told apart by readers with any colour vision, each with a mark of its own
 STYLES: dict[str, dict[str, Any]] = {
@@ -68,7 +70,7 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
     for name, agents in comparison.agents.items():
         agent, suffix = agents[0], "" if len(comparison.agents) == 1 else f"-{endings[name]}"
         seen = set(observed_by(agent, comparison.task)) - set(OPERATING_POINT)
-        if not seen and not needs_simulation(comparison.task.road, comparison.task.speed_noise):
+        if not seen and not needs_simulation(comparison.task.road, comparison.task.speed_noise, comparison.task.car):
             path = folder / f"schedule{suffix}.png"
             pictures.append(Picture(path, draw_schedule(name, agents, comparison, path)))
         elif seen and "slope" in comparison.task.signals:
@@ -268,7 +270,7 @@ def optimal_front(
         seed, episodes = comparison.configuration["seed"], comparison.configuration["episodes"]
         options = {"speeds": [point.speed], "bandwidths": [point.bandwidth], "episodes": episodes, "seed": seed}
         driven = evaluate({"optimal": feedback}, environment=environment, **options)["optimal"]
-        found.append([driven.mean_squares[MEAN_SQUARES.index(name), 0] for name in names])
+        found.append([driven.mean_squares[comparison.task.car.mean_squares.index(name), 0] for name in names])
     if report:
         report("optimal feedbacks of other weights", len(FRONT), len(FRONT))
     return np.array(found)
@@ -286,16 +288,16 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
     point = next(point for point in comparison.points if point.speed == speeds[(len(speeds) - 1) // 2])
     figure = Figure(figsize=(9.0, 5.4), layout="constrained")
     axis = figure.subplots()
-    if not needs_simulation(task.road, task.speed_noise):
+    if not needs_simulation(task.road, task.speed_noise, task.car):
         dampings = np.geomspace(*task.damping_range, 120)
         squares = analysis.mean_squares(
             road_at(task, point.bandwidth),
             task.speed_noise,
             damping=dampings,
             speed=point.speed,
-            natural_frequency=task.car.natural_frequency,
+            car=task.car,
         )
-        x, y = (np.asarray(getattr(squares, name)) / task.road.variance for name in names)
+        x, y = (np.asarray(squares[name]) / task.road.variance for name in names)
         axis.plot(x, y, color="#0072B2", linewidth=1.2, label="constant $D$, theory")
         for value in (0.1, 0.2, 0.3, 0.5, 0.7):
             if task.damping_range[0] < value < task.damping_range[1]:

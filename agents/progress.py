@@ -1,4 +1,4 @@
-"""Progress on the terminal's error stream: a bar where there is a terminal, else a line now and then, as in a notebook."""
+"""Progress on the error stream: a bar where there is a terminal, and rich to draw it; else a line now and then."""
 
 from __future__ import annotations
 
@@ -6,9 +6,21 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def _terminal() -> Console | None:
+    """The terminal that a bar is drawn on; None where there is none, or no rich."""
+    try:
+        from rich.console import Console
+    except ModuleNotFoundError:
+        return None
+    console = Console(stderr=True)
+    return console if console.is_terminal else None
+
 
 SECONDS = 10.0  # between lines on one piece of work, where there is no terminal
 
@@ -16,8 +28,8 @@ SECONDS = 10.0  # between lines on one piece of work, where there is no terminal
 @contextlib.contextmanager
 def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
     """A function of (what, done, in all, remark)."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    console = _terminal()
+    if console is None:
         told, finished = time.monotonic(), set()
 
         def tell(what: str, done: int, total: int, remark: str) -> None:
@@ -29,6 +41,8 @@ def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
 
         yield tell
         return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} {task.fields[remark]}"))
     with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
         bars: dict[str, object] = {}

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-import yaml
 
+from roadgym.installation import needs
 from roadgym.task import Task
 
 from .agent import Agent
@@ -295,6 +294,9 @@ def _configuration(comparison: Comparison) -> dict[str, Any]:
 
 def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     """The page, for a browser or for print; it asks the network for nothing."""
+    with needs("report"):
+        import jinja2
+        import yaml
     task = comparison.task
     greek = {"nu": "ν", "delta": "δ"}
     drawn = [

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from analysis.response import needs_simulation
-from roadgym.car import MEAN_SQUARES
 from roadgym.task import Task
 
 from .evaluation import Evaluation, OperatingPoint, Predictor
@@ -264,7 +263,7 @@ def make_rows(
         evaluations: those of the rivals, the analytic optimum among them.
     """
     rows = []
-    closed = not needs_simulation(task.road, task.speed_noise)  # a theory that is itself simulated proves nothing
+    closed = not needs_simulation(task.road, task.speed_noise, task.car)  # a theory that is itself simulated proves nothing
     best = evaluations["analytic_optimum"].adjusted_costs
     references = best_feedbacks(evaluations)
     rooms = gaps(evaluations, references)
@@ -291,7 +290,7 @@ def make_rows(
                     gain=ratio(saved, best[k][None], freedom),
                     gap_closed=None if room is None else ratio(saved, room[None], freedom),
                     switches=float(np.mean([evaluation.switches[k] for evaluation in seeds])),
-                    squares=dict(zip(MEAN_SQUARES, squares.tolist(), strict=True)),
+                    squares=dict(zip(task.car.mean_squares, squares.tolist(), strict=True)),
                 )
             )
     return tuple(rows), references

@@ -23,7 +23,7 @@ def optimum(task: Task, speed: float, bandwidth: float) -> analysis.Optimum:
         road_at(task, bandwidth),
         task.speed_noise,
         speed=speed,
-        natural_frequency=task.car.natural_frequency,
+        car=task.car,
         weights=task.weights_by_name,
         bounds=task.damping_range,
     )
@@ -36,9 +36,9 @@ def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float)
         task.speed_noise,
         damping=damping,
         speed=speed,
-        natural_frequency=task.car.natural_frequency,
+        car=task.car,
     )
-    total = sum(weight * float(getattr(squares, name)) for name, weight in task.weights_by_name.items())
+    total = sum(weight * float(squares[name]) for name, weight in task.weights_by_name.items())
     return total / task.road.variance
 
 

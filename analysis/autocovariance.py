@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from roadgym.parameters import ParameterError
 from roadgym.roads import Road
-from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
+from roadgym.speed import SpeedNoise
 
 from .checks import FloatArray, range_array
 from .sampling import Samples
@@ -69,13 +69,10 @@ def _phase_variance(speed_noise: SpeedNoise | None, time: FloatArray) -> FloatAr
     """Variance w(t) of the random part of the phase, rad^2, after the ``time`` t, s."""
     if speed_noise is None:
         return np.zeros_like(time)
-    square = speed_noise.intensity**2
-    if isinstance(speed_noise, WhiteSpeedNoise):
-        return square * time
-    if isinstance(speed_noise, (LowPassSpeedNoise, HighPassSpeedNoise)):
-        filtered = -np.expm1(-speed_noise.corner_frequency * time) / speed_noise.corner_frequency
-        return square * (filtered if isinstance(speed_noise, HighPassSpeedNoise) else time - filtered)
-    raise ParameterError(f"none is known for {speed_noise.kind} speed noise")
+    linear, filtered = speed_noise.phase_spread
+    corner = speed_noise.rates[0]
+    kept = -np.expm1(-corner * time) / corner if corner > 0 else time
+    return np.asarray(speed_noise.intensity**2 * (linear * time - filtered * kept))
 
 
 def expected_periodogram(

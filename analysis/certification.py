@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES
+from roadgym.cars import Car, make_car
 from roadgym.parameters import ParameterError, PlantError, whole, within
-from roadgym.roads import HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 from roadgym.task import check_plant
 
@@ -36,7 +36,7 @@ from .autocovariance import autocovariance as autocovariance
 from .autocovariance import expected_periodogram, no_closed_form
 from .checks import FloatArray
 from .response import mean_squares, needs_simulation
-from .roads import marginal_density
+from .roads import level_bound, marginal_density
 from .sampling import Samples, Switching, drive
 
 FALSE_ALARM_RATE = 1e-3  # probability, at most, that a sound plant does not pass
@@ -135,7 +135,8 @@ def certify(
     *,
     speed: float = 1.0,
     damping: float = 0.3,
-    natural_frequency: float = 1.0,
+    natural_frequency: float | None = None,
+    car: str | Mapping[str, Any] | Car | None = None,
     seed: int = 0,
     lanes: int = 16384,
     report: Callable[[str, int, int], None] | None = None,
@@ -147,7 +148,8 @@ def certify(
         speed_noise: noise on the speed, or its name or mapping, or None.
         speed: v, m/s; the road is driven at v/2 and 2 v as well.
         damping: D, 1.
-        natural_frequency: w1, rad/s.
+        natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
+        car: a car, or its name or mapping; the car of one mass by default.
         seed: fixes the noise.
         lanes: independent cars at each speed; standard errors fall as its root.
         report: called as ``report(what, intervals done, intervals in all)`` now and then.
@@ -161,14 +163,14 @@ def certify(
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
     speed, damping = within("speed", speed, "moving speed"), within("damping", damping)
-    natural_frequency = within("natural_frequency", natural_frequency)
-    check_plant(road, speed_noise, (speed / 2, 2 * speed), natural_frequency)
+    the_car = make_car(car, natural_frequency)
+    check_plant(road, speed_noise, (speed / 2, 2 * speed), the_car.natural_frequency)
     whole("seed", seed, low=0, of="seed")
     if whole("lanes", lanes, of="lanes") < FEWEST_LANES:
         raise ParameterError(f"lanes must be at least {FEWEST_LANES} to have a standard error, got {lanes}")
 
     try:
-        lines, left_out = _compared(road, speed_noise, speed, damping, natural_frequency, seed, lanes, report)
+        lines, left_out = _compared(road, speed_noise, speed, damping, the_car, seed, lanes, report)
     except PlantError as error:
         lines, left_out = (
             [Line(name="numbers that are not finite", measured=math.nan, expected=0.0, passed=False)],
@@ -178,7 +180,7 @@ def certify(
     noise = "no speed noise" if speed_noise is None else f"{_words(speed_noise)} speed noise"
     return Certificate(
         plant=f"{_words(road)} road, {noise}",
-        drive=f"speed {speed:g} m/s, damping {damping:g}, natural frequency {natural_frequency:g} rad/s; "
+        drive=f"speed {speed:g} m/s, damping {damping:g}, natural frequency {the_car.natural_frequency:g} rad/s; "
         f"{lanes} lanes, seed {seed}",
         significance=significance,
         # a figure that is not a number has no p-value either, and fails
@@ -194,7 +196,7 @@ def _compared(
     speed_noise: SpeedNoise | None,
     speed: float,
     damping: float,
-    natural_frequency: float,
+    car: Car,
     seed: int,
     lanes: int,
     report: Callable[[str, int, int], None] | None,
@@ -211,7 +213,7 @@ def _compared(
             speed_noise,
             speed=factor * speed,
             damping=damping,
-            natural_frequency=natural_frequency,
+            car=car,
             frequencies=[ratio * factor * turn for ratio in chosen],
             lanes=lanes,
             seed=int(own_seed),
@@ -239,11 +241,11 @@ def _compared(
         left_out.append(f"spectral density ({error})")
     lines += _law_lines(road, own, slow, fast, left_out)
     try:
-        if needs_simulation(road, speed_noise):
+        if needs_simulation(road, speed_noise, car):
             raise ParameterError(no_closed_form(road, speed_noise))
-        theory = mean_squares(road, speed_noise, damping=damping, speed=speed, natural_frequency=natural_frequency)
-        for term, found in zip(MEAN_SQUARES, own.mean_squares, strict=True):
-            name, figure = f"mean square of the {term.replace('_', ' ')}", float(getattr(theory, term))
+        theory = mean_squares(road, speed_noise, damping=damping, speed=speed, car=car)
+        for (term, square), found in zip(theory.items(), own.mean_squares, strict=True):
+            name, figure = f"mean square of the {term.replace('_', ' ')}", float(square)
             if math.isfinite(figure):
                 lines.append(_moment(f"{name} (m^2)", found, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
             else:
@@ -256,7 +258,7 @@ def _compared(
         left_out,
         damping=(SOFT * damping, damping),
         speed=speed,
-        natural_frequency=natural_frequency,
+        car=car,
         lanes=lanes,
         seed=int(seeds[3]),
         uncertainty=uncertainty,
@@ -272,12 +274,7 @@ def level_distribution(road: Road, level: npt.ArrayLike) -> FloatArray:
     Raises:
         ParameterError: a road whose density is not known.
     """
-    if isinstance(road, MultiplicativeRoad):
-        if not road.is_circle:
-            raise ParameterError("none is known on an ellipse")
-        bound = road.level_bound
-    else:
-        bound = road.amplitude if isinstance(road, HarmonicRoad) else 12 * math.sqrt(road.variance)
+    bound = min(level_bound(road), 12 * math.sqrt(road.variance))
     # with z = bound sin(angle) the densities that are infinite at the bound become smooth; the midpoint rule never meets it
     edges = np.linspace(-math.pi / 2, math.pi / 2, LAW_CELLS + 1)
     middle = (edges[1:] + edges[:-1]) / 2
@@ -305,9 +302,9 @@ def _law_lines(road: Road, own: Samples, slow: Samples, fast: Samples, left_out:
     ratio = fast.level_square.mean() / mean
     terms = ratio + (fast.level_square - ratio * slow.level_square) / mean
     lines.append(_moment("variance at double over half speed", terms, 1.0))
-    if isinstance(road, MultiplicativeRoad) and road.is_circle:
-        bound = road.level_bound**2
-        largest = own.largest_square / bound
+    road_filter = road.shaping_filter()
+    if road_filter is not None and road_filter.flatness:
+        largest = own.largest_square / level_bound(road) ** 2
         passed = bool(largest <= 1 + 8 * np.finfo(np.float64).eps)  # the rounding of the ratio itself
         lines.append(Line(name="largest (Z^2 + U^2)/r0^2, at most 1", measured=largest, expected=1.0, passed=passed))
     return lines
@@ -320,7 +317,7 @@ def _switching_lines(
     *,
     damping: tuple[float, float],
     speed: float,
-    natural_frequency: float,
+    car: Car,
     lanes: int,
     seed: int,
     uncertainty: float,
@@ -334,11 +331,14 @@ def _switching_lines(
     if road.shaping_filter() is None:
         left_out.append(f"{what} ({no_closed_form(road, None)})")
         return []
-    switching = Switching(road, damping=damping, speed=speed, natural_frequency=natural_frequency, lanes=lanes, seed=seed)
+    switching = Switching(road, damping=damping, speed=speed, car=car, lanes=lanes, seed=seed)
     lines = []
     ways = {"D alternating": switching.alternate, "skyhook": switching.skyhook}
     if not switching.knows_state:
-        left_out.append(f"{what} by the state (of which the plant shows a part, or whose conditional moments are not known)")
+        why = (
+            "of which the plant shows a part, or whose conditional moments are not known, or which has no velocity for skyhook"
+        )
+        left_out.append(f"{what} by the state ({why})")
         del ways["skyhook"]
     for way, drive_way in ways.items():
         measured, expected = drive_way(None if report is None else _at(report, f"with {way}"))

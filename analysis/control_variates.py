@@ -13,14 +13,14 @@ errors of b_i add: their standard error is that of a mean.
 
 What the exact means must be worth:
 
-- *Start.* After SETTLED/(D natural_frequency) a start at rest has left less than 1e-5 of any mean square over 100/w1 or more,
-  on every road; weaker dampings do not serve.
+- *Start.* When free motions have fallen by exp(-SETTLED), which one mass takes SETTLED/(D natural_frequency) for, a start at
+  rest has left less than 1e-5 of any mean square over 100/w1 or more, on every road; weaker dampings do not serve.
 - *Scheme.* The plant's own mean squares are within 1e-4 of theory for constant D <= 1; stronger dampings do not serve. Dampings
   that say nearly the same could have large coefficients of either sign, which would blow that bias up; so the regression has a
   penalty that weighs b_i times the bias against the noise, and leaves alone what has no more noise than bias. The adjusted mean
   is good to about 1e-4, however small its standard error is.
-- *Theory.* Only mean squares in closed form serve: none under noise on the speed of a random road, and none on an ellipse,
-  whose variance, the unit of all costs, is itself simulated.
+- *Theory.* Only exact mean squares serve: none under noise on the speed of a random road, and none on an ellipse, whose
+  variance, the unit of all costs, is itself simulated.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from roadgym.car import MEAN_SQUARES
-from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad
+from roadgym.cars import Car
 from roadgym.task import Task
 
 from .checks import FloatArray
@@ -45,7 +44,7 @@ BIAS = 1e-4  # relative, of the scheme
 def least_transient(task: Task) -> float:
     """Time from a start at rest, s, after which at least the upper third of the damping range serves; 0 where nothing would."""
     low, high = task.damping_range
-    return 1.5 * SETTLED / (min(high, HIGHEST) * task.car.natural_frequency) if low < HIGHEST else 0.0
+    return 1.5 * SETTLED / (task.car.decay(min(high, HIGHEST)) * task.car.natural_frequency) if low < HIGHEST else 0.0
 
 
 def control_dampings(task: Task, transient: float, samples: int) -> tuple[float, ...]:
@@ -54,13 +53,12 @@ def control_dampings(task: Task, transient: float, samples: int) -> tuple[float,
     They lie inside the range, not at its ends: where the best constant damping is an end, it is not its own control variate,
     and theory still checks what is driven. Empty where none serves; see the module's docstring.
     """
-    known = isinstance(task.road, (HarmonicRoad, FirstOrderRoad, GaussianRoad, MultiplicativeRoad))
-    on_ellipse = isinstance(task.road, MultiplicativeRoad) and not task.road.is_circle
     low, high = task.damping_range
     high = min(high, HIGHEST)
-    if not known or on_ellipse or needs_simulation(task.road, task.speed_noise) or transient * high <= 0:
+    simulated = needs_simulation(task.road, task.speed_noise, task.car) or task.road.variance_standard_error > 0
+    if simulated or transient <= 0 or low >= high:
         return ()
-    low = max(low, SETTLED / (transient * task.car.natural_frequency))
+    low = _least_damping(task.car, SETTLED / (transient * task.car.natural_frequency), low, high)
     if low >= high:
         return ()
     count = max(min(MOST, samples // SAMPLES_EACH), 1)
@@ -68,8 +66,18 @@ def control_dampings(task: Task, transient: float, samples: int) -> tuple[float,
     return tuple(single.astype(float).tolist())
 
 
+def _least_damping(car: Car, decay: float, low: float, high: float) -> float:
+    """The least D within [low, high] from which on the car's free motion decays so fast, in units of w1; ``high`` if none."""
+    if car.decay(low) >= decay:
+        return low
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if car.decay(middle) >= decay else (middle, high)
+    return high
+
+
 def expected_squares(task: Task, dampings: tuple[float, ...], speed: float, bandwidth: float = 0.0) -> FloatArray:
-    """Exact mean squares over E Z^2 at constant dampings, shape (5, dampings), in the order of `roadgym.MEAN_SQUARES`.
+    """Exact mean squares over E Z^2 at constant dampings, shape (squares, dampings), in the order of the car's.
 
     Args:
         task: the plant.
@@ -81,10 +89,10 @@ def expected_squares(task: Task, dampings: tuple[float, ...], speed: float, band
         task.speed_noise,
         damping=np.array(dampings),
         speed=speed,
-        natural_frequency=task.car.natural_frequency,
+        car=task.car,
         bandwidth=bandwidth or None,
     )
-    return np.array([getattr(found, name) for name in MEAN_SQUARES]) / task.road.variance
+    return np.array(list(found.values())) / task.road.variance
 
 
 def adjust(samples: FloatArray, controls: FloatArray, means: FloatArray) -> FloatArray:

@@ -13,9 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES, QuarterCar
-from roadgym.compiled import LEVEL, SLOPE
-from roadgym.kernel import RESULT_SQUARE
+from roadgym.cars import Car
 from roadgym.plant import Plant
 from roadgym.reward import divergent_terms
 from roadgym.roads import Road
@@ -37,11 +35,11 @@ def drive_together(
     *,
     damping: FloatArray,
     speed: float,
-    natural_frequency: float,
+    car: Car,
     relative_error: float,
     lanes: int = 4096,
     seed: int = 0,
-    names: Sequence[str] = MEAN_SQUARES,
+    names: Sequence[str] | None = None,
 ) -> FloatArray:
     """Stationary mean squares of independent cars, at several dampings over the same noise.
 
@@ -53,38 +51,35 @@ def drive_together(
         road, speed_noise: the plant.
         damping: D > 0, 1, shape (dampings,).
         speed: v > 0, m/s.
-        natural_frequency: w1, rad/s.
+        car: the car.
         relative_error: standard error over the mean, of each mean square at each damping.
         lanes: how many cars at each damping.
         seed: fixes the noise.
-        names: mean squares that must be known so well.
+        names: mean squares that must be known so well; all by default.
 
     Returns:
-        Mean squares of each lane in the order of `roadgym.car.MEAN_SQUARES`, m^2, shape (5, dampings, lanes): means over lanes
-        estimate the mean squares, and their spread the standard errors. Infinite where they diverge.
+        Mean squares of each lane in the order of the car's, m^2, shape (squares, dampings, lanes): means over lanes estimate
+        the mean squares, and their spread the standard errors. Infinite where they diverge.
     """
     low, high = float(damping.min()), float(damping.max())
     turn = speed * road.wavenumber
     own = getattr(road, "bandwidth", 0.0)
-    fastest = fastest_rate(road, speed_noise, QuarterCar(natural_frequency=natural_frequency), speed, own)
+    fastest = fastest_rate(road, speed_noise, car, speed, own)
     interval = INTERVAL_SUBSTEPS * LARGEST_ANGLE / fastest
     task = make_task(
         road=road,
         speed_noise=speed_noise,
         speed=speed,
         damping_range=(low / 2, high),
-        natural_frequency=natural_frequency,
+        car=car,
         control_interval=interval,
-        substeps=max(INTERVAL_SUBSTEPS, math.ceil(high * interval * natural_frequency / LARGEST_DECAY)),
+        substeps=max(INTERVAL_SUBSTEPS, math.ceil(high * car.firmness * interval * car.natural_frequency / LARGEST_DECAY)),
     )
     plant = Plant(task, damping.size * lanes)
-    everyone = np.ones(plant.num_envs, np.bool_)
-    seeds = lane_seeds(np.random.SeedSequence(seed), lanes)
-    plant.seed(np.tile(seeds, damping.size), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.tile(lane_seeds(np.random.SeedSequence(seed), lanes), damping.size))
     actions = np.repeat(damping.astype(np.float32), lanes)
 
-    memory = 1 / (float(slowest_decay(np.asarray(low))) * natural_frequency)
+    memory = 1 / (car.decay(low) * car.natural_frequency)
     # on an ellipse the law is not known: there the road must settle as well, and its variance is no control
     settled_road = road.variance_standard_error == 0
     if not settled_road:
@@ -95,14 +90,15 @@ def drive_together(
     for _ in range(settling):
         plant.step(actions)
 
-    chosen = [MEAN_SQUARES.index(name) for name in names if name not in divergent_terms(road, speed_noise)]
-    known = {LEVEL: 1.0} if road.slope_variance is None else {LEVEL: 1.0, SLOPE: road.slope_variance}  # their mean squares
-    totals, controls, steps = np.zeros((5, damping.size, lanes)), np.zeros((len(known), lanes)), 0
+    every, infinite = car.mean_squares, divergent_terms(car, road, speed_noise)
+    chosen = [every.index(name) for name in (every if names is None else names) if name not in infinite]
+    known = {"level": 1.0} if road.slope_variance is None else {"level": 1.0, "slope": road.slope_variance}  # mean squares
+    totals, controls, steps = np.zeros((len(every), damping.size, lanes)), np.zeros((len(known), lanes)), 0
     while True:
         more = math.ceil(memory / interval)
         check_size(f"substeps of all lanes, where relative_error is {relative_error:g},", "it", (steps + more) * work, "work")
         for _ in range(more):
-            totals += plant.step(actions)[1][RESULT_SQUARE : RESULT_SQUARE + 5].reshape(totals.shape)
+            totals += plant.step(actions).mean_squares.reshape(totals.shape)
             for control, row in zip(controls, known, strict=True):
                 control += plant.row(row)[:lanes].astype(np.float64) ** 2
             steps += 1
@@ -126,15 +122,15 @@ def _without_controls(figures: FloatArray, controls: FloatArray) -> FloatArray:
 
 @functools.lru_cache(maxsize=4096)
 def driven_mean_squares(
-    road: Road, speed_noise: SpeedNoise | None, damping: float, speed: float, natural_frequency: float, relative_error: float
+    road: Road, speed_noise: SpeedNoise | None, damping: float, speed: float, car: Car, relative_error: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The five mean squares and their standard errors, m^2, shape (5,) each, of a driven plant at one operating point."""
+    """The mean squares and their standard errors, m^2, shape (squares,) each, of a driven plant at one operating point."""
     figures = drive_together(
         road,
         speed_noise,
         damping=np.array([damping]),
         speed=speed,
-        natural_frequency=natural_frequency,
+        car=car,
         relative_error=relative_error,
     )[:, 0]
     return figures.mean(axis=-1), standard_errors(figures)
@@ -152,7 +148,7 @@ def driven_optimum(
     speed_noise: SpeedNoise | None,
     *,
     speed: float,
-    natural_frequency: float,
+    car: Car,
     weights: tuple[float, ...],
     bounds: tuple[float, float],
     relative_error: float,
@@ -164,7 +160,7 @@ def driven_optimum(
     lane is off at the minimum by its own slope there, over the common curvature: that gives the standard error.
     """
     low, high = math.log(bounds[0]), math.log(bounds[1])
-    names = [name for name, weight in zip(MEAN_SQUARES, weights, strict=True) if weight]
+    names = [name for name, weight in zip(car.mean_squares, weights, strict=True) if weight]
 
     def costs_at(places: FloatArray, error: float, lanes: int) -> FloatArray:
         """Cost of each lane, shape (places, lanes)."""
@@ -173,7 +169,7 @@ def driven_optimum(
             speed_noise,
             damping=np.clip(np.exp(places), *bounds),
             speed=speed,
-            natural_frequency=natural_frequency,
+            car=car,
             relative_error=error,
             lanes=lanes,
             names=names,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.cars import Car, make_car
 from roadgym.parameters import positive_range, within
 from roadgym.reward import check_weights
 from roadgym.roads import Road, make_road
@@ -43,7 +44,8 @@ def optimal_damping(
     speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
     *,
     speed: npt.ArrayLike,
-    natural_frequency: float = 1.0,
+    natural_frequency: float | None = None,
+    car: str | Mapping[str, Any] | Car | None = None,
     weights: Mapping[str, float] = DISPLACEMENT,
     bounds: tuple[float, float] = (0.05, 1.0),
     bandwidth: npt.ArrayLike | None = None,
@@ -65,7 +67,8 @@ def optimal_damping(
         road: a road, or its name or mapping.
         speed_noise: noise on the speed, or its name or mapping, or None.
         speed: v >= 0, m/s, any shape.
-        natural_frequency: w1, rad/s.
+        natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
+        car: a car, or its name or mapping; the car of one mass by default.
         weights: weights of the mean squares, as of the reward of the environment.
         bounds: smallest and largest damping, 0 < low <= high.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts with ``speed``.
@@ -76,14 +79,15 @@ def optimal_damping(
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
-    checked = check_weights(weights, road, speed_noise)
-    driven = needs_simulation(road, speed_noise)
-    low, high = positive_range("bounds", bounds, "constant damping" if has_closed_form(road) and not driven else "damping")
-    natural_frequency = within("natural_frequency", natural_frequency)
+    the_car = make_car(car, natural_frequency)
+    checked = check_weights(weights, the_car, road, speed_noise)
+    driven = needs_simulation(road, speed_noise, the_car)
+    closed = has_closed_form(road, the_car) and not driven
+    low, high = positive_range("bounds", bounds, "constant damping" if closed else "damping")
     relative_error = within("relative_error", relative_error)
     if speed_noise is not None:
-        speed_noise.check_range(natural_frequency, driven=driven)
-    arrays = {"speed": checked_speed(speed, road, natural_frequency)}
+        speed_noise.check_range(the_car.natural_frequency, driven=driven)
+    arrays = {"speed": checked_speed(speed, road, the_car.natural_frequency)}
     if bandwidth is not None:
         arrays["bandwidth"] = checked_bandwidth(bandwidth, road)
     speed, *rest = broadcast(**arrays)
@@ -96,7 +100,7 @@ def optimal_damping(
                 here,
                 speed_noise,
                 speed=float(speed[index]),
-                natural_frequency=natural_frequency,
+                car=the_car,
                 weights=tuple(checked.values()),
                 bounds=(low, high),
                 relative_error=relative_error,
@@ -110,11 +114,10 @@ def optimal_damping(
             speed_noise,
             damping=damping,
             speed=speed,
-            natural_frequency=natural_frequency,
+            car=the_car,
             bandwidth=rest[0] if rest else None,
         )
-        cost: FloatArray = sum(weight * getattr(result, name) for name, weight in checked.items() if weight) / road.variance
-        return cost
+        return np.asarray(sum(weight * result[name] for name, weight in checked.items() if weight) / road.variance)
 
     points = np.geomspace(np.full(speed.shape, low), high, COARSE)
     for _ in range(ROUNDS + 1):

@@ -30,7 +30,7 @@ from typing import TypeAlias
 import numpy as np
 
 from roadgym.parameters import ParameterError
-from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
+from roadgym.speed import SpeedNoise
 
 from .checks import ComplexArray, FloatArray, check_size
 
@@ -51,7 +51,7 @@ def mean_transfer(
         frequency_ratio: nu >= 0, 1, of a shape that broadcasts with ``damping``.
         natural_frequency: w1, rad/s.
     """
-    if isinstance(speed_noise, LowPassSpeedNoise):
+    if speed_noise is not None and speed_noise.smooth:
         return _low_pass(speed_noise, damping, frequency_ratio, natural_frequency)[0]
     result = 0j
     for rate, weight in zip(*_rates(speed_noise, natural_frequency), strict=True):
@@ -67,7 +67,7 @@ def filter_mean_squares(
 
     Arguments as in `mean_transfer`.
     """
-    if isinstance(speed_noise, LowPassSpeedNoise):
+    if speed_noise is not None and speed_noise.smooth:
         return _low_pass(speed_noise, damping, frequency_ratio, natural_frequency)[1]
     p0 = p1 = p2 = np.zeros(())
     for rate, weight in zip(*_rates(speed_noise, natural_frequency), strict=True):
@@ -98,18 +98,25 @@ def slowest_decay(damping: FloatArray) -> FloatArray:
     return slowest
 
 
+def is_known(speed_noise: SpeedNoise) -> bool:
+    """Is R a sum of exponentials with positive weights, or that of low-pass noise, which the continued fraction serves?"""
+    linear, filtered = speed_noise.phase_spread
+    return filtered <= 0 or (speed_noise.smooth and linear == filtered == 1)
+
+
 def _rates(speed_noise: SpeedNoise | None, natural_frequency: float) -> tuple[FloatArray, FloatArray]:
     """Rates of decay of R in units of w1, and their probabilities."""
     if speed_noise is None:
         return np.zeros(1), np.ones(1)
+    if not is_known(speed_noise):
+        raise ParameterError(f"speed_noise must be white, low_pass, high_pass or None, got {speed_noise!r}")
     strength = speed_noise.intensity**2 / (2 * natural_frequency)
-    if isinstance(speed_noise, WhiteSpeedNoise):
-        return np.array([strength]), np.ones(1)
-    if isinstance(speed_noise, HighPassSpeedNoise):
-        corner = speed_noise.corner_frequency / natural_frequency
-        counts, weights = _poisson_rule(strength / corner)
-        return corner * counts, weights
-    raise ParameterError(f"speed_noise must be white, low_pass, high_pass or None, got {speed_noise!r}")
+    linear, filtered = speed_noise.phase_spread
+    if filtered == 0:
+        return np.array([strength * linear]), np.ones(1)
+    corner = speed_noise.rates[0] / natural_frequency
+    counts, weights = _poisson_rule(-strength * filtered / corner)
+    return strength * linear + corner * counts, weights
 
 
 def _poisson_rule(mean: float) -> tuple[FloatArray, FloatArray]:
@@ -126,7 +133,7 @@ def _poisson_rule(mean: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _low_pass(
-    speed_noise: LowPassSpeedNoise, damping: FloatArray, frequency_ratio: FloatArray, natural_frequency: float
+    speed_noise: SpeedNoise, damping: FloatArray, frequency_ratio: FloatArray, natural_frequency: float
 ) -> tuple[ComplexArray, MeanSquaresOfFilter]:
     """Mean transfer function and P_0, ..., P_3 under low-pass noise.
 
@@ -136,7 +143,9 @@ def _low_pass(
     P_0 = Re <(2 D + s)/N>/2D, P_1 = Re <s/N>/2D and P_2 = -Re <s^3/N>/2D. For P_3 = Re <s^5/N>/2D the product A^2 T_3 stands
     for T_5: they differ by derivatives of R at 0+, which are no part of the mean square.
     """
-    corner = speed_noise.corner_frequency / natural_frequency
+    if not is_known(speed_noise):
+        raise ParameterError(f"speed_noise must be white, low_pass, high_pass or None, got {speed_noise!r}")
+    corner = speed_noise.rates[0] / natural_frequency
     variance = speed_noise.intensity**2 / (2 * natural_frequency) * corner
     turn = 1j * frequency_ratio
     twice = 2 * damping

@@ -11,44 +11,61 @@ the car's transfer function has the numerator 1 + 2 D s:
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES, QuarterCar
-from roadgym.linear import LinearSystem
+from roadgym.cars import MEAN_SQUARES, Car, make_car
+from roadgym.linear import LinearSystem, ShapingFilter
 from roadgym.parameters import ParameterError, within
 from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, check_size, range_array, ratio_array
 from .driven import driven_mean_squares
-from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares
+from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares, is_known
 
 RELATIVE_ERROR = 3e-3  # standard error over the mean, of what is simulated
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class MeanSquares:
-    """Stationary mean squares of the car, m^2, not divided by the road's variance; each in the common shape of the arguments.
+class MeanSquares(Mapping[str, FloatArray]):
+    """Stationary mean squares of the car by name, m^2, not divided by the road's variance; each is an attribute too.
+
+    Of the car of one mass: displacement E Y^2, velocity E (Y'/w1)^2, acceleration E (Y''/w1^2)^2, travel E (Y - Z)^2, and
+    relative_velocity E ((Y' - Z')/w1)^2.
 
     Args:
-        displacement: E Y^2.
-        velocity: E (Y'/w1)^2.
-        acceleration: E (Y''/w1^2)^2.
-        travel: E (Y - Z)^2.
-        relative_velocity: E ((Y' - Z')/w1)^2.
-        standard_error: standard errors of the five, m^2, where they come from simulation; None where they are exact.
+        squares: the mean squares, each in the common shape of what was asked.
+        standard_error: their standard errors, m^2, where they come from simulation; None where they are exact.
     """
 
-    displacement: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    travel: FloatArray
-    relative_velocity: FloatArray
-    standard_error: MeanSquares | None = None
+    def __init__(self, squares: Mapping[str, FloatArray], standard_error: MeanSquares | None = None) -> None:
+        self._squares, self.standard_error = dict(squares), standard_error
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """The mean square of a signal."""
+        return self._squares[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the signals."""
+        return iter(self._squares)
+
+    def __len__(self) -> int:
+        """How many they are."""
+        return len(self._squares)
+
+    def __getattr__(self, name: str) -> FloatArray:
+        """The mean square of a signal, as an attribute."""
+        if name.startswith("_") or name not in self._squares:
+            raise AttributeError(f"no mean square {name!r}")
+        return self._squares[name]
+
+    def __repr__(self) -> str:
+        """The figures."""
+        figures = ", ".join(f"{name}={value!r}" for name, value in self._squares.items())
+        return f"MeanSquares({figures}, standard_error={self.standard_error!r})"
 
 
 def mean_squares(
@@ -57,7 +74,8 @@ def mean_squares(
     *,
     damping: npt.ArrayLike,
     speed: npt.ArrayLike,
-    natural_frequency: float = 1.0,
+    natural_frequency: float | None = None,
+    car: str | Mapping[str, Any] | Car | None = None,
     bandwidth: npt.ArrayLike | None = None,
     relative_error: float = RELATIVE_ERROR,
 ) -> MeanSquares:
@@ -76,43 +94,53 @@ def mean_squares(
         speed_noise: noise on the speed, or its name or mapping, or None.
         damping: D > 0, 1, any shape.
         speed: mean speed v >= 0, m/s, any shape that broadcasts.
-        natural_frequency: w1, rad/s.
+        natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
+        car: a car, or its name or mapping; the car of one mass by default.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts; second-order roads.
         relative_error: standard error over the mean, 1, at which a simulation ends.
 
     Returns:
-        The five mean squares, m^2; infinite where they diverge because the road's rate of change contains white noise.
+        The mean squares of all signals of the car, m^2; infinite where they diverge because the road's rate of change contains
+        white noise.
 
     Raises:
         ParameterError: a value out of range.
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
-    natural_frequency = within("natural_frequency", natural_frequency)
-    driven = needs_simulation(road, speed_noise)
+    the_car = make_car(car, natural_frequency)
+    w1 = the_car.natural_frequency
+    driven, closed = needs_simulation(road, speed_noise, the_car), has_closed_form(road, the_car)
     if speed_noise is not None:
-        speed_noise.check_range(natural_frequency, driven=driven)
+        speed_noise.check_range(w1, driven=driven)
     relative_error = within("relative_error", relative_error)
     arrays = {
-        "damping": range_array("damping", damping, "constant damping" if has_closed_form(road) and not driven else "damping"),
-        "speed": checked_speed(speed, road, natural_frequency),
+        "damping": range_array("damping", damping, "constant damping" if closed and not driven else "damping"),
+        "speed": checked_speed(speed, road, w1),
     }
     if bandwidth is not None:
         arrays["bandwidth"] = checked_bandwidth(bandwidth, road)
     damping, speed, *rest = broadcast(**arrays)
-    ratio = speed * (road.wavenumber / natural_frequency)
+    ratio = speed * (road.wavenumber / w1)
     if driven:
         check_size("operating points to simulate", "damping and speed", damping.size, "driven points")
         bandwidths = rest[0] if bandwidth is not None else None
-        return _simulated(road, speed_noise, damping, speed, natural_frequency, bandwidths, relative_error)
-    if not has_closed_form(road):
+        return _simulated(road, speed_noise, damping, speed, the_car, bandwidths, relative_error)
+    if not closed:
         ratio_array("speed", speed, "nu = speed * wavenumber/natural_frequency", ratio, "linear frequency ratio")
-    found = _closed(road, speed_noise, damping, ratio, natural_frequency, rest[0] if rest else None)
-    return MeanSquares(**{name: road.variance * found[name] for name in MEAN_SQUARES}, standard_error=None)
+    road_filter = road.shaping_filter(rest[0] if rest else None)
+    assert road_filter is not None
+    if closed:
+        found = _closed(road, road_filter, speed_noise, damping, ratio, w1)
+    else:
+        found = LinearSystem.of(road_filter, the_car.motion, damping=damping, ratio=ratio).mean_squares()
+    return MeanSquares({name: road.variance * square for name, square in found.items()})
 
 
-def has_closed_form(road: Road) -> bool:
-    """Are its mean squares known in closed form, which is exact in a wider range than Lyapunov's equation?"""
+def has_closed_form(road: Road, car: Car) -> bool:
+    """Are their mean squares known in closed form, which is exact in a wider range than Lyapunov's equation?"""
+    if not (car.motion.is_one_mass and car.mean_squares == MEAN_SQUARES):
+        return False
     road_filter = road.shaping_filter()
     known = road_filter is not None and (road_filter.is_first_order or road_filter.bandwidth is not None)
     return known or road.lines is not None
@@ -120,15 +148,13 @@ def has_closed_form(road: Road) -> bool:
 
 def _closed(
     road: Road,
+    road_filter: ShapingFilter,
     speed_noise: SpeedNoise | None,
     damping: FloatArray,
     ratio: FloatArray,
     natural_frequency: float,
-    bandwidth: FloatArray | None,
 ) -> dict[str, FloatArray]:
-    """Mean squares by name over the road's variance, exact: by the closed forms that there are, else by Lyapunov's equation."""
-    road_filter = road.shaping_filter(bandwidth)
-    assert road_filter is not None
+    """Mean squares by name over the road's variance, by the closed forms that there are."""
     if road.lines is not None:
         terms = [
             [share * term for term in filter_mean_squares(_of_wave(speed_noise, k), damping, k * ratio, natural_frequency)]
@@ -138,10 +164,9 @@ def _closed(
     elif road_filter.is_first_order:
         p0, p1, p2 = decaying_mean_squares(damping, 0.0, ratio)
         p3 = np.where(ratio > 0, np.inf, 0.0)
-    elif road_filter.bandwidth is not None:
-        p0, p1, p2, p3 = _second_order(damping, ratio, road_filter.bandwidth)
     else:
-        return LinearSystem.of(road_filter, QuarterCar().motion, damping=damping, ratio=ratio).mean_squares()
+        assert road_filter.bandwidth is not None
+        p0, p1, p2, p3 = _second_order(damping, ratio, road_filter.bandwidth)
     gain = 4 * damping**2
     values = (p0 + gain * p1, p1 + gain * p2, p2 + gain * p3, p2, p3)
     return dict(zip(MEAN_SQUARES, values, strict=True))
@@ -171,11 +196,12 @@ def checked_bandwidth(bandwidth: npt.ArrayLike, road: Road) -> FloatArray:
     return result
 
 
-def needs_simulation(road: Road, speed_noise: SpeedNoise | None) -> bool:
+def needs_simulation(road: Road, speed_noise: SpeedNoise | None, car: Car) -> bool:
     """Is there no theory, so that the plant must be driven: on a road that is no linear filter, or with noise on the speed?"""
     if speed_noise is None:
         return road.shaping_filter() is None
-    return road.lines is None or not road.takes_phase_noise
+    known = road.lines is not None and road.takes_phase_noise and is_known(speed_noise)
+    return not (known and has_closed_form(road, car))
 
 
 def _simulated(
@@ -183,19 +209,19 @@ def _simulated(
     speed_noise: SpeedNoise | None,
     damping: FloatArray,
     speed: FloatArray,
-    natural_frequency: float,
+    car: Car,
     bandwidth: FloatArray | None,
     relative_error: float,
 ) -> MeanSquares:
     """Mean squares with standard errors, one simulation for each operating point."""
-    result = np.empty((2, len(MEAN_SQUARES), *damping.shape))
+    result = np.empty((2, len(car.mean_squares), *damping.shape))
     for index in np.ndindex(damping.shape):
         here = road if bandwidth is None else road.with_bandwidth(float(bandwidth[index]))
         result[:, :, *index] = driven_mean_squares(
-            here, speed_noise, float(damping[index]), float(speed[index]), natural_frequency, relative_error
+            here, speed_noise, float(damping[index]), float(speed[index]), car, relative_error
         )
-    means, errors = (dict(zip(MEAN_SQUARES, part, strict=True)) for part in result)
-    return MeanSquares(**means, standard_error=MeanSquares(**errors))
+    means, errors = (MeanSquares(dict(zip(car.mean_squares, part, strict=True))) for part in result)
+    return MeanSquares(means, standard_error=errors)
 
 
 def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray) -> MeanSquaresOfFilter:
@@ -211,9 +237,14 @@ def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray)
 
 
 def covariance(
-    road: str | Mapping[str, Any] | Road, *, damping: npt.ArrayLike, speed: npt.ArrayLike, natural_frequency: float = 1.0
+    road: str | Mapping[str, Any] | Road,
+    *,
+    damping: npt.ArrayLike,
+    speed: npt.ArrayLike,
+    natural_frequency: float | None = None,
+    car: str | Mapping[str, Any] | Car | None = None,
 ) -> FloatArray:
-    """Stationary covariance of (Y, X) and the road, which is (Z, U) if of second order, X = Y'/w1, by Lyapunov's equation.
+    """Stationary covariance of the states of car and road, by Lyapunov's equation; (Y, X, Z, U) of one mass on second order.
 
     Solved numerically, independent of the closed forms of `mean_squares`; the moment equations (14) of Wedig (2020) are it.
 
@@ -221,7 +252,7 @@ def covariance(
         road: a road that is a linear filter, or bounded.
         damping: D > 0, 1, any shape.
         speed: v >= 0, m/s, any shape that broadcasts.
-        natural_frequency: w1, rad/s.
+        natural_frequency, car: as of `mean_squares`.
 
     Returns:
         Covariance matrices, m^2, in the common shape followed by (n, n), n = 4 on a second-order road.
@@ -230,7 +261,8 @@ def covariance(
     road_filter = road.shaping_filter()
     if road_filter is None:
         raise ParameterError(f"road must be a linear filter, see roadgym.linear.ShapingFilter; a {road.kind} road is none")
-    w1 = within("natural_frequency", natural_frequency)
+    the_car = make_car(car, natural_frequency)
+    w1 = the_car.natural_frequency
     damping, speed = broadcast(damping=range_array("damping", damping, "damping"), speed=checked_speed(speed, road, w1))
     nu = speed * (road.wavenumber / w1)
-    return road.variance * LinearSystem.of(road_filter, QuarterCar().motion, damping=damping, ratio=nu).covariance()
+    return road.variance * LinearSystem.of(road_filter, the_car.motion, damping=damping, ratio=nu).covariance()

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.linear import ShapingFilter
 from roadgym.parameters import ParameterError
-from roadgym.roads import GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import Road, make_road
 
 from .checks import FloatArray, broadcast, range_array, ratio_array
 
@@ -35,25 +36,45 @@ def density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike, slope: n
     """
     road = make_road(road)
     z, u = broadcast(level=range_array("level", level, "array entry"), slope=range_array("slope", slope, "array entry"))
-    if isinstance(road, GaussianRoad):
-        return np.exp(-(z * z + u * u) / (2 * road.variance)) / (2 * math.pi * road.variance)
-    if isinstance(road, MultiplicativeRoad):
-        _check_circle(road)
-        peak = road.shape / (math.pi * road.level_bound**2)
-        return peak * _bounded_power(np.hypot(z, u) / road.level_bound, road.shape - 1)
-    cause = {
-        "first_order": "the slope of a first_order road is white noise",
-        "harmonic": "level and slope of a harmonic road lie on an ellipse",
-    }.get(road.kind, f"none is known for a {road.kind} road")
+    road_filter = road.shaping_filter()
+    if road_filter is not None and road_filter.states == ("level", "slope") and road_filter.noise.any():
+        if road_filter.flatness == 0:
+            return np.exp(-(z * z + u * u) / (2 * road.variance)) / (2 * math.pi * road.variance)
+        shape, bound = _bounded(road, road_filter)
+        return shape / (math.pi * bound**2) * _bounded_power(np.hypot(z, u) / bound, shape - 1)
+    if not road.has_slope:
+        cause = f"the slope of a {road.kind} road is white noise"
+    elif road.lines is not None and len(road.lines) == 1:
+        cause = f"level and slope of a {road.kind} road lie on an ellipse"
+    else:
+        cause = f"none is known for a {road.kind} road"
     raise ParameterError(f"road must have a joint density of level and slope, as gaussian and multiplicative roads do: {cause}")
 
 
-def _check_circle(road: MultiplicativeRoad) -> None:
-    """Raise `ParameterError` on an ellipse, where (11) does not hold."""
-    if not road.is_circle:
-        raise ParameterError(
-            f"slope_bound must be None or level_bound, {road.level_bound:g}, for a known density, got {road.slope_bound:g}"
-        )
+def _bounded(road: Road, road_filter: ShapingFilter) -> tuple[float, float]:
+    """Shape alpha and bound r0, m, of a bounded road: E Z^2 = r0^2/(2 (alpha + 1)).
+
+    Raises:
+        ParameterError: an ellipse, where (11) does not hold.
+    """
+    if road_filter.flatness is None:
+        raise ParameterError(f"road must have a known density, as a multiplicative one has on a circle, got {road!r}")
+    shape = 1 / road_filter.flatness
+    return shape, math.sqrt(2 * (shape + 1) * road.variance)
+
+
+def level_bound(road: Road) -> float:
+    """The largest level of a road whose law is known, m; infinite where there is none.
+
+    Raises:
+        ParameterError: a road whose law is not known.
+    """
+    road_filter = road.shaping_filter()
+    if road.lines is not None:
+        return math.sqrt(2 * road.variance) * sum(math.sqrt(share) for share, _ in road.lines)
+    if road_filter is None:
+        raise ParameterError(f"road must be of a kind whose level has a known density, got a {road.kind} road")
+    return math.inf if road_filter.flatness == 0 else _bounded(road, road_filter)[1]
 
 
 def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike) -> FloatArray:
@@ -75,14 +96,15 @@ def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike)
     road_filter = road.shaping_filter()
     if road_filter is not None and road_filter.flatness == 0 and road_filter.noise.any():
         return np.exp(-z * z / (2 * road.variance)) / math.sqrt(2 * math.pi * road.variance)
-    if isinstance(road, HarmonicRoad):
-        return _bounded_power(np.abs(z) / road.amplitude, -0.5) / (math.pi * road.amplitude)
-    if isinstance(road, MultiplicativeRoad):
-        _check_circle(road)
+    if road.lines is not None and len(road.lines) == 1:
+        amplitude = math.sqrt(2 * road.variance)
+        return _bounded_power(np.abs(z) / amplitude, -0.5) / (math.pi * amplitude)
+    if road_filter is not None and road.lines is None:
         from scipy.special import poch
 
-        peak = float(poch(road.shape + 0.5, 0.5)) / (math.sqrt(math.pi) * road.level_bound)
-        return peak * _bounded_power(np.abs(z) / road.level_bound, road.shape - 0.5)
+        shape, bound = _bounded(road, road_filter)
+        peak = float(poch(shape + 0.5, 0.5)) / (math.sqrt(math.pi) * bound)
+        return peak * _bounded_power(np.abs(z) / bound, shape - 0.5)
     raise ParameterError(f"road must be of a kind whose level has a known density, got a {road.kind} road")
 
 

@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from roadgym.car import MEAN_SQUARES
-from roadgym.compiled import DISPLACEMENT, LEVEL, SLOPE, VELOCITY
-from roadgym.kernel import RESULT_SQUARE
+from roadgym.cars import Car
 from roadgym.plant import Plant
 from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
 from roadgym.task import LARGEST_ANGLE, make_task
 
 from .checks import FloatArray, check_size
+from .driven import lane_seeds
 from .phase_noise import slowest_decay
 from .quadratic import interval_mean, periodic_mean_squares, plant_system
 
@@ -39,7 +38,7 @@ class Samples:
         level: Z at the end of the record, m, shape (lanes,).
         largest_square: largest Z^2 + U^2 of all lanes at all times of the record, m^2.
         periodogram: interval |sum of window Z e^(-i w t)|^2 / sum of window^2, m^2 s, shape (frequencies, lanes).
-        mean_squares: those of `roadgym.car.MEAN_SQUARES`, m^2, shape (5, lanes); infinite where they diverge.
+        mean_squares: those of the car, m^2, shape (squares, lanes); infinite where they diverge.
         window: weights of the periodogram, Hann's, shape (times,).
         interval: time between two samples of the record, s.
     """
@@ -60,7 +59,7 @@ def drive(
     *,
     speed: float,
     damping: float,
-    natural_frequency: float,
+    car: Car,
     frequencies: Sequence[float],
     lanes: int,
     seed: int,
@@ -72,7 +71,7 @@ def drive(
         road, speed_noise: the plant.
         speed: v, m/s.
         damping: D, 1.
-        natural_frequency: w1, rad/s.
+        car: the car.
         frequencies: angular frequencies w of the periodogram, rad/s.
         lanes: how many.
         seed: fixes the noise; different seeds share none.
@@ -84,44 +83,42 @@ def drive(
         speed_noise=speed_noise,
         speed=speed,
         damping_range=(damping / 2, damping),
-        natural_frequency=natural_frequency,
-        control_interval=2 * LARGEST_ANGLE / max(turn, natural_frequency),
+        car=car,
+        control_interval=2 * LARGEST_ANGLE / max(turn, car.fastest * car.natural_frequency),
     )
     plant = Plant(task, lanes)
-    everyone = np.ones(lanes, np.bool_)
-    plant.seed(np.random.SeedSequence(seed).generate_state(lanes, np.uint64).astype(np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(lane_seeds(np.random.SeedSequence(seed), lanes))
 
     # The road starts in its stationary law; only one whose law is wrong needs the time to show it.
-    memories = [1 / (_decay(damping) * natural_frequency)]
+    memories = [1 / (car.decay(damping) * car.natural_frequency)]
     road_filter = road.shaping_filter()
     if road_filter is not None and road_filter.slowest > 0:
         memories.append(1 / (road_filter.slowest * turn))
     elif task.bandwidth[0] > 0:
-        memories.append(1 / (_decay(task.bandwidth[0]) * turn))
+        memories.append(1 / (float(slowest_decay(np.asarray(task.bandwidth[0]))) * turn))
     interval = task.control_interval
     skipped = math.ceil(SETTLED * max(memories) / interval)
-    measured = math.ceil(RECORD_ANGLE / min(turn, natural_frequency) / interval)
+    measured = math.ceil(RECORD_ANGLE / min(turn, car.natural_frequency) / interval)
 
     work = (skipped + measured) * task.substeps * lanes
     check_size("substeps of all lanes", "speed, damping and lanes", work, "work")
     window = np.hanning(measured + 2)[1:-1]
     waves = window[:, None] * np.exp(-1j * interval * np.outer(np.arange(measured), frequencies))
     transform = np.zeros((len(frequencies), lanes), np.complex128)
-    level_square, slope_square, mean_squares = np.zeros(lanes), np.zeros(lanes), np.zeros((5, lanes))
+    level_square, slope_square, mean_squares = np.zeros(lanes), np.zeros(lanes), np.zeros((len(car.mean_squares), lanes))
     largest_square = 0.0
     actions = np.full(lanes, damping, np.float32)
     for step in range(-skipped, measured):
-        results = plant.step(actions)[1]
+        driven = plant.step(actions)
         if report and (step % REPORTS == 0 or step == measured - 1):
             report(skipped + step + 1, skipped + measured)
         if step < 0:
             continue
-        z, u = plant.row(LEVEL).astype(np.float64), plant.row(SLOPE).astype(np.float64)
+        z, u = plant.row("level").astype(np.float64), plant.row("slope").astype(np.float64)
         z_square, u_square = z * z, u * u
         level_square += z_square
         slope_square += u_square
-        mean_squares += results[RESULT_SQUARE : RESULT_SQUARE + 5]
+        mean_squares += driven.mean_squares
         largest_square = max(largest_square, float(np.max(z_square + u_square)))
         transform += waves[step][:, None] * z
     return Samples(
@@ -142,38 +139,34 @@ class Switching:
     Args:
         road: a road with a shaping filter.
         damping: the soft and the firm level, 1.
-        speed, natural_frequency, lanes, seed: as for `drive`.
+        speed, car, lanes, seed: as for `drive`.
 
     Attributes:
         names: the mean squares that are finite.
     """
 
-    def __init__(
-        self, road: Road, *, damping: tuple[float, float], speed: float, natural_frequency: float, lanes: int, seed: int
-    ) -> None:
-        self._task = make_task(road=road, speed=speed, damping_range=damping, natural_frequency=natural_frequency)
+    def __init__(self, road: Road, *, damping: tuple[float, float], speed: float, car: Car, lanes: int, seed: int) -> None:
+        self._task = make_task(road=road, speed=speed, damping_range=damping, car=car)
         self._levels = np.array(damping, np.float32)
-        self._interval = self._task.control_interval * natural_frequency
+        self._interval = self._task.control_interval * car.natural_frequency
         self._ratio = float(self._task.frequency_ratio(speed))
         bandwidth = self._task.bandwidth[0]
         self._soft, self._firm = (plant_system(self._task, float(level), self._ratio, bandwidth) for level in self._levels)
-        self.names = [name for name in MEAN_SQUARES if name not in self._soft.rough]
+        self.names = [name for name in car.mean_squares if name not in self._soft.rough]
         self._plant = Plant(self._task, lanes)
-        everyone = np.ones(lanes, np.bool_)
-        self._plant.seed(np.random.SeedSequence(seed).generate_state(lanes, np.uint64).astype(np.uint64), everyone)
-        self._plant.reset(self._plant.forced({}), everyone)
+        self._plant.start(lane_seeds(np.random.SeedSequence(seed), lanes))
 
     def _drive(self, firm: Callable[[int], Any], report: Callable[[int, int], None] | None) -> FloatArray:
         """Mean squares of each lane, m^2, shape (names, lanes); steps before the record have negative numbers."""
-        skipped = math.ceil(SETTLED / (_decay(float(self._levels[0])) * self._interval))
+        skipped = math.ceil(SETTLED / (self._task.car.decay(float(self._levels[0])) * self._interval))
         measured = self._measured()
-        rows = RESULT_SQUARE + np.array([MEAN_SQUARES.index(name) for name in self.names])
+        rows = np.array([self._task.car.mean_squares.index(name) for name in self.names])
         totals = np.zeros((len(self.names), self._plant.num_envs))
         for step in range(-skipped, measured):
             actions = np.broadcast_to(np.where(firm(step), self._levels[1], self._levels[0]), self._plant.num_envs)
-            results = self._plant.step(np.ascontiguousarray(actions))[1]
+            driven = self._plant.step(np.ascontiguousarray(actions))
             if step >= 0:
-                totals += results[rows]
+                totals += driven.mean_squares[rows]
             if report and (step % REPORTS == 0 or step == measured - 1):
                 report(skipped + step + 1, skipped + measured)
         return np.asarray(self._task.road.variance * totals / measured)
@@ -190,7 +183,8 @@ class Switching:
     @property
     def knows_state(self) -> bool:
         """Can `skyhook` be driven: is the state all that there is, and are its conditional moments known?"""
-        return self._soft.flatness is not None and self._task.road.state_rows is not None
+        known = {"velocity", "relative_velocity"} <= set(self._task.car.mean_squares)
+        return known and self._soft.flatness is not None and self._task.road.state_rows is not None
 
     def skyhook(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
         """(measured, expected) mean squares with D firm where it brakes the body, m^2, shape (names, lanes) each.
@@ -204,11 +198,10 @@ class Switching:
             for n, name in enumerate(self.names):
                 forms[k, n] = interval_mean(system, system.cost_form({name: 1.0}), self._interval)[1] / self._interval
         expected = np.zeros((len(self.names), self._plant.num_envs))
-        rows = (DISPLACEMENT, VELOCITY, *(self._task.road.state_rows or ()))
         velocity, relative = (self._soft.signals[name] for name in ("velocity", "relative_velocity"))
 
         def firm(step: int) -> Any:
-            state = np.stack([self._plant.row(row) for row in rows]).astype(float)
+            state = np.concatenate([self._plant.car_states, self._plant.road_states]).astype(float)
             braking = (velocity @ state) * (relative @ state) > 0
             if step >= 0:
                 squares = (state[:, None] * state).reshape(size * size, -1)
@@ -218,8 +211,3 @@ class Switching:
 
         measured = self._drive(firm, report)
         return measured, self._task.road.variance * expected / self._measured()
-
-
-def _decay(damping: float) -> float:
-    """Rate at which x'' + 2 D x' + x = 0 decays in the end."""
-    return float(slowest_decay(np.asarray(damping)))

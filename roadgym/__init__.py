@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium
 
-from .car import MEAN_SQUARES, QuarterCar
+from .cars import CARS, MEAN_SQUARES, Car, LinearCar, QuarterCar, TwoMassCar
 from .parameters import ParameterError, PlantError
 from .roads import (
     ROADS,
@@ -20,18 +20,22 @@ from .roads import (
     MultiplicativeRoad,
     Road,
     TwoCornerRoad,
+    sample_road,
 )
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
 
 __all__ = [
+    "CARS",
     "ENVIRONMENT_ID",
     "MEAN_SQUARES",
     "ROADS",
     "SPEED_NOISES",
+    "Car",
     "FirstOrderRoad",
     "GaussianRoad",
     "HarmonicRoad",
     "HighPassSpeedNoise",
+    "LinearCar",
     "LinearRoad",
     "LowPassSpeedNoise",
     "MultiplicativeRoad",
@@ -41,9 +45,11 @@ __all__ = [
     "Road",
     "SpeedNoise",
     "TwoCornerRoad",
+    "TwoMassCar",
     "WhiteSpeedNoise",
     "__version__",
     "register",
+    "sample_road",
 ]
 
 __version__ = "0.1.0"
@@ -55,14 +61,14 @@ def register(what: str, name: str, component: type) -> None:
     """Add a component of one's own, for use by name in the environment, in theory and in every command.
 
     Args:
-        what: "road" or "speed_noise".
+        what: "road", "speed_noise" or "car".
         name: its kind.
-        component: a frozen keyword-only dataclass, a `Road` or a `SpeedNoise`.
+        component: a frozen keyword-only dataclass, a `Road`, a `SpeedNoise` or a `Car`.
 
     Raises:
         ParameterError: no such sort of component, a class of another sort, or a name that is taken.
     """
-    tables: dict[str, Any] = {"road": ROADS, "speed_noise": SPEED_NOISES}
+    tables: dict[str, Any] = {"road": ROADS, "speed_noise": SPEED_NOISES, "car": CARS}
     if what not in tables:
         raise ParameterError(f"what must be one of {', '.join(tables)}, got {what!r}")
     tables[what].register(name, component)

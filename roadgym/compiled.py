@@ -4,6 +4,9 @@ A *lane* is one car on one road. Lanes are stepped in blocks of ``LANES``; a blo
 quantity ``Q`` of lane ``i`` is ``block[Q + i]``. The row offsets below are compile-time constants, so the compiler can
 prove that rows do not overlap and turns every loop over lanes into vector instructions.
 
+The rows below are the bus over which the components of a plant talk. After them come the road's own, from COEFFICIENT on, and
+after those the car's, which it alone knows.
+
 Everything in a block is dimensionless: lengths over the road's standard deviation, time over 1/natural_frequency.
 
 A road (or a speed noise) is a few plain functions of pointers ``(lanes, words, table)``:
@@ -16,12 +19,16 @@ What happens at every substep is a function of a whole block, with a loop over i
 function of one lane, ``(lane, words, table)``: its pointers begin at that lane, so that quantity ``Q`` is ``lane[Q]`` and word
 ``k`` is ``words[k * LANES]``.
 
+A car's functions take ``(lanes, car, work, table)``: the block, the car's own rows of it, which begin with its states, the
+numbers of this control interval, and constants; see `roadgym.cars.Car`.
+
 `LaneFunction` compiles them and the kernel calls them through their address. That keeps one kernel for all roads, compiled
 once, and lets a road live in any module. What is compiled is kept as `roadgym.cache` says.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -45,11 +52,14 @@ SPEED_STATE = 5 * LANES  # filtered speed noise Psi, rad
 LEVEL = 6 * LANES  # Z
 SLOPE = 7 * LANES  # U, with dZ/ds = wavenumber * U; zero on roads that have no slope
 LEVEL_EXCESS = 8 * LANES  # mean over the substep of the level's path above its chord
-DISPLACEMENT = 9 * LANES  # Y
-VELOCITY = 10 * LANES  # X = (dY/dt) / natural_frequency
-RATE = 11 * LANES  # angle a unit of time now, where the speed is a number; nu without speed noise
-COEFFICIENT = 12 * LANES  # first of the rows that belong to the road, ``Road.rows`` of them
+RATE = 9 * LANES  # angle a unit of time now, where the speed is a number; nu without speed noise
+COEFFICIENT = 10 * LANES  # first of the rows that belong to the road, ``Road.rows`` of them
 OWN_ROWS = 10  # of a road, if it does not say so
+
+# numbers of the interval that a block is in, in ``work``
+SUBSTEP, INVERSE_SUBSTEP, SHARE = 0, 1, 2  # the last is the weight of this instant in the mean squares of the interval
+DAMPING = 1 * LANES  # D in force
+WORK = 2 * LANES  # first of the rows that belong to the car: the mean squares that it adds up itself, then ``Car.working_rows``
 
 # "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
@@ -82,31 +92,50 @@ def _like(reference: Any, value: Any) -> Any:
     return lambda reference, value: real(value)
 
 
+def _code_of_call(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Code that calls the function at an address with the addresses after it."""
+    pointer = ir.PointerType(ir.IntType(8))
+    own = ir.FunctionType(ir.VoidType(), [pointer] * (len(arguments) - 1))
+    function, *addresses = (builder.inttoptr(argument, pointer) for argument in arguments)
+    builder.call(builder.bitcast(function, ir.PointerType(own)), addresses)
+    return context.get_dummy_value()
+
+
 def _call(typing_context: Any, address: Any, lanes: Any, words: Any, table: Any) -> Any:
     """Call the lane function at ``address`` with three addresses; all are unsigned integers."""
-    signature = types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+    return types.void(*[types.uintp] * 4), _code_of_call
+
+
+def _call_car(typing_context: Any, address: Any, lanes: Any, car: Any, work: Any, table: Any) -> Any:
+    """Call a car's lane function at ``address`` with four addresses; all are unsigned integers."""
+    return types.void(*[types.uintp] * 5), _code_of_call
+
+
+call: Any = intrinsic(_call)
+call_car: Any = intrinsic(_call_car)
+
+
+def _pointer(typing_context: Any, address: Any, reference: Any) -> Any:
+    """A pointer to numbers at an address, of the type of ``reference``, a number or an array."""
+    signature = types.CPointer(getattr(reference, "dtype", reference))(types.uintp, reference)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = ir.PointerType(ir.IntType(8))
-        function_type = ir.FunctionType(ir.VoidType(), [pointer] * 3)
-        function = builder.inttoptr(arguments[0], ir.PointerType(function_type))
-        builder.call(function, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
-        return context.get_dummy_value()
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
     return signature, generate
 
 
-call: Any = intrinsic(_call)
+pointer: Any = intrinsic(_pointer)
 
 
 class LaneFunction:
-    """A function of ``(lanes, words, table)`` pointers, compiled on demand for one precision.
+    """A function of pointers, compiled on demand for one precision: ``words`` are 32-bit integers, all others numbers.
 
     Use it as a decorator. ``address(dtype)`` is what the kernel calls; it belongs to this process, so it is never stored in
     anything that is pickled. The undecorated function stays in ``function`` and accepts NumPy arrays.
     """
 
-    def __init__(self, function: Callable[[Any, Any, Any], None]) -> None:
+    def __init__(self, function: Callable[..., None]) -> None:
         self.function = function
         self.__doc__ = function.__doc__
         self._cache = CodeCache(function)
@@ -117,7 +146,8 @@ class LaneFunction:
         key = np.dtype(dtype)
         if key not in self._compiled:
             number = types.CPointer(from_dtype(key))
-            arguments = (number, types.CPointer(types.uint32), number)
+            words = types.CPointer(types.uint32)
+            arguments = tuple(words if name == "words" else number for name in inspect.signature(self.function).parameters)
             callback: Any = CFunc(self.function, (arguments, types.void), locals={}, options=dict(_OPTIONS))
             callback._cache = self._cache
             callback.compile()

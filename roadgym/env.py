@@ -12,8 +12,6 @@ import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
 from . import ENVIRONMENT_ID
-from .car import MEAN_SQUARES
-from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
 from .task import TaskParameters, make_task
@@ -39,7 +37,7 @@ def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESE
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
 
-    The car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own.
+    By default the car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own.
 
     - Action: D itself, `Box(damping_range)`, shape (1,), float32. It saturates at the range, as an actuator does; an action
       that is not finite or has another shape raises.
@@ -57,7 +55,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
     - Rendering: with "rgb_array" `render` returns the picture, uint8, shape (640, 800, 3); with "human" a window shows it at
       every reset and step, 60 of them a second. `roadgym.rendering` says what is in it; its title is ``render_title``. This
-      needs pygame: ``pip install 'roadgym[render]'``.
+      needs pygame, of the extra ``render``.
 
     The parameters are those of `roadgym.task.make_task`. The noise depends on the seed, the number of resets since it was given
     and the step alone, so two controllers with the same seed meet the same road.
@@ -84,9 +82,9 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.observation_space = self.task.observation_space
         self.signal_names = self.task.signals
         self.signal_scale = self.task.signal_scale
-        self._plant = Plant(self.task, 1, threads=1)
-        self._mask = np.ones(1, np.bool_)
-        self._variance = self.task.road.variance
+        self.plant = Plant(self.task, 1, threads=1)
+        self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
+        self._names, self._variance = self.task.car.mean_squares, self.task.road.variance
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
         self.history: History | None = None
         self._picture: Picture | None = None
@@ -95,47 +93,50 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_picture": None, "_window": None}  # a copy draws for itself
 
-    def _operating_point(self, results: Sequence[float]) -> dict[str, Any]:
-        point = {"speed": results[RESULT_SPEED] * self._metres_per_second}
-        if self.task.bandwidth[1] > 0:
-            point["bandwidth"] = results[RESULT_BANDWIDTH]
-        return point
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
         """Begin the next episode; see the class for ``options``."""
-        forced = self._plant.forced(check_options(options))
+        forced = self.plant.forced(check_options(options))
         seed = None if seed is None else whole("seed", seed, low=0, of="seed")
         super().reset(seed=seed)
-        if seed is None and not self._plant.started:
+        if seed is None and not self.plant.started:
             seed = int(self.np_random.integers(2**63))
         if seed is not None:
-            self._plant.seed(np.array([seed], np.uint64), self._mask)
-        observations, results = self._plant.reset(forced, self._mask)
+            self.plant.seed(np.array([seed], np.uint64), self._mask)
+        began = self.plant.reset(forced, self._mask)
         if self.render_mode is not None:
             from .rendering import History
 
-            self.history = History(self._plant)
+            self.history = History(self.plant)
             if self.render_mode == "human":
                 self.render()
-        return observations[0], self._operating_point(results[:, 0].tolist())
+        _, _, ratio, bandwidth, *_ = began.only()
+        info = {"speed": ratio * self._metres_per_second}
+        if self._has_bandwidth:
+            info["bandwidth"] = bandwidth
+        return began.observations[0], info
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""
-        if not self._plant.started:
+        if not self.plant.started:
             raise ResetNeeded("call reset before step")
         actions = single_precision("action", action, (1,))
-        if not math.isfinite(actions[0]):
+        if not math.isfinite(actions.item()):
             raise ParameterError(f"action must be one finite number, shape (1,), got {shown(action)}")
-        observations, results, _, _ = self._plant.step(actions) if self.history is None else self.history.step(actions)
-        values = results[:, 0].tolist()
-        info = {name: values[RESULT_SQUARE + k] * self._variance for k, name in enumerate(MEAN_SQUARES)}
-        info["damping"] = values[RESULT_DAMPING]
-        info.update(self._operating_point(values))
+        interval = self.plant.step(actions) if self.history is None else self.history.step(actions)
+        reward, damping, ratio, bandwidth, *squares = interval.only()
+        info: dict[str, Any] = {}
+        variance = self._variance
+        for name, square in zip(self._names, squares):  # noqa: B905  (to be strict takes a twentieth of the step)
+            info[name] = square * variance
+        info["damping"] = damping
+        info["speed"] = ratio * self._metres_per_second
+        if self._has_bandwidth:
+            info["bandwidth"] = bandwidth
         if self.render_mode == "human":
             self.render()
-        return observations[0], values[REWARD], False, False, info
+        return interval.observations[0], reward, False, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """The picture now in the mode "rgb_array"; in the mode "human" it goes to the window."""

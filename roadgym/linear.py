@@ -72,10 +72,24 @@ class ShapingFilter:
     def spectrum(self, wavenumber: npt.ArrayLike) -> FloatArray:
         """Two-sided spectral density of the level over the angle, at wavenumbers over the road's; one operating point."""
         k = np.asarray(wavenumber, float)
-        gain = self.level @ np.linalg.solve(
-            1j * k[..., None, None] * np.eye(len(self.level)) - self.drift, self.noise.astype(complex)
-        )
+        gain = self.level @ np.linalg.inv(1j * k[..., None, None] * np.eye(len(self.level)) - self.drift) @ self.noise
         return np.asarray(np.sum(np.abs(gain) ** 2, axis=-1))
+
+
+INPUTS = ("level", "level_rate", "damper_force")  # Z, dZ/dt and F_D, which enter signals beside the states of the car
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """What is observed of a car, and has a mean square: a sum of its states and of `INPUTS`.
+
+    Args:
+        terms: factor of each by name.
+        symbol: how pictures call it.
+    """
+
+    terms: Mapping[str, float]
+    symbol: str
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,9 +100,8 @@ class Motion:
         states: names of the states q.
         drift: A, without the damper, shape (n, n).
         level_entry, slope_entry, force_entry: b, e and f, shape (n,).
-        signals: each mean square's signal by name, as a row of q, and what of Z, of dZ/dt and of the damper's force is added to
-            it: (row of shape (n,), level, slope, force).
-        relative: name of the signal whose rate the damper resists, the relative velocity.
+        signals: by name, see `Signal`; the damper's force does not enter the one that is ``relative``.
+        relative: name of the signal that the damper resists, the relative velocity.
         follows: 1 for each state that is a height, and nearly that of a slow road, else 0; shape (n,).
     """
 
@@ -97,9 +110,48 @@ class Motion:
     level_entry: FloatArray
     slope_entry: FloatArray
     force_entry: FloatArray
-    signals: Mapping[str, tuple[FloatArray, float, float, float]]
+    signals: Mapping[str, Signal]
     relative: str = "relative_velocity"
     follows: FloatArray
+
+    @functools.cached_property
+    def rows(self) -> FloatArray:
+        """Factors of the states and of `INPUTS` in each signal, shape (signals, n + 3).
+
+        Raises:
+            ParameterError: a signal of what is none of these.
+        """
+        names = (*self.states, *INPUTS)
+        for name, signal in self.signals.items():
+            for term in signal.terms:
+                if term not in names:
+                    raise ParameterError(f"signal {name!r} has the unknown term {term!r}; known: {', '.join(names)}")
+        return np.array([[signal.terms.get(name, 0.0) for name in names] for signal in self.signals.values()])
+
+    @property
+    def rough(self) -> tuple[str, ...]:
+        """Names of the signals that the rate of the level enters, and with it white noise where that contains some."""
+        relative_rate = self.rows[list(self.signals).index(self.relative), -2]
+        return tuple(name for name, row in zip(self.signals, self.rows, strict=True) if row[-2] or (row[-1] and relative_rate))
+
+    @property
+    def damper(self) -> FloatArray:
+        """What 2 D times it adds to the drift: - force_entry relative, shape (n, n)."""
+        relative = self.rows[list(self.signals).index(self.relative), : len(self.states)]
+        return -np.outer(self.force_entry, relative)
+
+    @property
+    def is_one_mass(self) -> bool:
+        """Is this the car (1) of Wedig (2020), whose mean squares have closed forms?"""
+        return self.states == ("displacement", "velocity") and all(
+            np.array_equal(own, known)
+            for own, known in (
+                (self.drift, [[0, 1], [-1, 0]]),
+                (self.level_entry, [0, 1]),
+                (self.slope_entry, [0, 0]),
+                (self.damper, [[0, 0], [0, -1]]),
+            )
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,9 +201,12 @@ class LinearSystem:
         slope = nu * (road.level @ road.drift)
         roughness = road.level @ road.noise  # of the slope, in units of the root of nu
 
+        factors = dict(zip(car.signals, car.rows, strict=True))
+
         def row(name: str) -> FloatArray:
-            own, level, rate, _ = car.signals[name]
-            return np.concatenate([np.broadcast_to(own, (*shape, cars)), level * road.level + rate * slope], axis=-1)
+            level, rate, _ = factors[name][cars:]
+            own = np.broadcast_to(factors[name][:cars], (*shape, cars))
+            return np.concatenate([own, level * road.level + rate * slope], axis=-1)
 
         relative = row(car.relative)
         drift = np.zeros((*shape, cars + roads, cars + roads))
@@ -159,26 +214,22 @@ class LinearSystem:
         drift[..., :cars, cars:] = car.level_entry[:, None] * road.level + car.slope_entry[:, None] * slope[..., None, :]
         drift[..., cars:, cars:] = nu[..., None] * road.drift
         drift[..., :cars, :] -= twice[..., None] * car.force_entry[:, None] * relative[..., None, :]
-        relative_rate = car.signals[car.relative][2]
+        relative_rate = factors[car.relative][cars + 1]
         entry = car.slope_entry - twice * relative_rate * car.force_entry
         noise = np.zeros((*shape, cars + roads, road.noise.shape[-1]))
         noise[..., :cars, :] = entry[..., None] * roughness[..., None, :]
         noise[..., cars:, :] = road.noise
-        signals = {name: row(name) + twice * force * relative for name, (_, _, _, force) in car.signals.items()}
-        rough = {
-            name
-            for name, (_, _, rate, force) in car.signals.items()
-            if np.any(roughness) and np.any(rate + twice * force * relative_rate)
-        }
+        force = {name: float(factor[-1]) for name, factor in factors.items()}
+        signals = {name: row(name) + twice * force[name] * relative for name in car.signals}
         return cls(
             states=car.states + road.states,
             car_states=cars,
             drift=drift,
             noise=noise * np.sqrt(nu)[..., None],
             signals=signals,
-            rough=frozenset(rough),
+            rough=frozenset(car.rough if np.any(roughness) else ()),
             force_entry=np.append(car.force_entry, np.zeros(roads)),
-            force={name: force for name, (_, _, _, force) in car.signals.items()},
+            force=force,
             heights=np.outer(car.follows, road.level),
             road_covariance=road.covariance,
             flatness=road.flatness,
@@ -248,9 +299,7 @@ class LinearSystem:
         identity = np.eye(len(self.states))
         found = []
         for w in np.atleast_1d(np.asarray(frequency, float)).tolist():
-            gain = self.signals[name][..., None, :] @ np.linalg.solve(
-                1j * w * identity - self.drift, self.noise.astype(complex)
-            )
+            gain = self.signals[name][..., None, :] @ np.linalg.inv(1j * w * identity - self.drift) @ self.noise
             found.append(np.sum(np.abs(gain) ** 2, axis=(-2, -1)))
         return np.stack(found, axis=-1)
 

@@ -12,16 +12,47 @@ import numpy as np
 import numpy.typing as npt
 from numba.core.errors import NumbaError
 
-from . import kernel
+from . import compiled, kernel
+from .cars import Car
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
+from .record import (
+    COUNTERS,
+    DISABLED,
+    EPISODE,
+    NEXT_STEP,
+    OBSERVED_BANDWIDTH,
+    OBSERVED_SIGNAL,
+    OBSERVED_SPEED,
+    PLANT,
+    RESULT_BANDWIDTH,
+    RESULT_DAMPING,
+    RESULT_SPEED,
+    REWARD,
+    SAME_STEP,
+    SQUARES,
+    STEP,
+    interval_weights,
+)
+from .reward import divergent_terms
 from .roads import Road
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
 
-AUTORESET = {"next_step": kernel.NEXT_STEP, "same_step": kernel.SAME_STEP, "disabled": kernel.DISABLED}
+Floats = npt.NDArray[np.floating[Any]]
+AUTORESET = {"next_step": NEXT_STEP, "same_step": SAME_STEP, "disabled": DISABLED}
 BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
+
+# rows of the state that roads, speed noise and cars share (see `roadgym.compiled`)
+BUS = {
+    "speed": compiled.SPEED,
+    "bandwidth": compiled.BANDWIDTH,
+    "turn": compiled.TURN,
+    "level": compiled.LEVEL,
+    "slope": compiled.SLOPE,
+    "rate": compiled.RATE,
+}
 
 MOST_THREADS = 1024  # of the pool; it starts a thread only where none is idle, so as many as are at work together
 
@@ -39,15 +70,19 @@ def _pool() -> ThreadPoolExecutor:
 PADDING = 4096  # numbers after a table, all NaN: what reads beyond its end shows, and reads nobody else's memory
 
 
-def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+def padded_table(name: str, table: Any, dtype: np.dtype[Any], *, finite: bool = True) -> npt.NDArray[Any]:
     """The constants of a component for compiled code, with `PADDING` after them.
 
+    Args:
+        name: of the table, for messages.
+        table: its numbers.
+        dtype: of compiled code.
+        finite: must they be; a bound of minus infinity is a constant too.
+
     Raises:
-        ParameterError: no finite numbers in one row.
+        ParameterError: no numbers in one row.
     """
-    name = f"table of the {component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
-    # a bound of minus infinity is a constant too
-    row = number_array(name, table) if isinstance(component, Road) else np.asarray(table, np.float64)
+    row = number_array(name, table) if finite else np.asarray(table, np.float64)
     if row.ndim != 1 or row.size == 0:
         raise ParameterError(f"{name} must be one row of numbers, got the shape {row.shape}")
     with np.errstate(over="ignore"):
@@ -55,6 +90,74 @@ def padded_table(component: Road | SpeedNoise, table: Any, dtype: np.dtype[Any])
     if np.any(np.isinf(constants) & np.isfinite(row)):
         raise ParameterError(f"{name} must have numbers that {dtype} holds, up to {np.finfo(dtype).max:.2g}")
     return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
+
+
+def lane_address(component: Road | SpeedNoise | Car, function: LaneFunction | None, dtype: np.dtype[Any]) -> int:
+    """Address of a component's function for the kernel, 0 where it has none.
+
+    Raises:
+        ParameterError: it does not compile.
+    """
+    try:
+        return 0 if function is None else function.address(dtype)
+    except NumbaError as error:
+        raise ParameterError(f"a lane function of the {component.kind} component does not compile: {error}") from error
+
+
+class Interval:
+    """What happened to the environments in a control interval, or at a reset.
+
+    Attributes:
+        observations: shape (num_envs, signals), float32.
+        truncated: whose episode has ended, shape (num_envs,).
+        final_observations: the last observations of these episodes, with the autoreset "same_step", where the others are those
+            of the next episodes already; meaningless where none has ended.
+    """
+
+    __slots__ = ("_results", "final_observations", "observations", "truncated")
+
+    def __init__(
+        self,
+        observations: npt.NDArray[np.float32],
+        results: npt.NDArray[np.floating[Any]],
+        truncated: npt.NDArray[np.bool_],
+        final_observations: npt.NDArray[np.float32],
+    ) -> None:
+        self.observations, self._results = observations, results
+        self.truncated, self.final_observations = truncated, final_observations
+
+    @property
+    def reward(self) -> Floats:
+        """Shape (num_envs,)."""
+        row: Floats = self._results[REWARD]
+        return row
+
+    @property
+    def mean_squares(self) -> Floats:
+        """Of the interval, over the variance of the road, shape (squares, num_envs), in the order of the car's."""
+        return self._results[SQUARES:]
+
+    @property
+    def damping(self) -> Floats:
+        """The damping ratios that were applied, shape (num_envs,)."""
+        row: Floats = self._results[RESULT_DAMPING]
+        return row
+
+    @property
+    def frequency_ratio(self) -> Floats:
+        """Of the mean speed, shape (num_envs,)."""
+        row: Floats = self._results[RESULT_SPEED]
+        return row
+
+    @property
+    def bandwidth(self) -> Floats:
+        """Of the road, 0 where it has none, shape (num_envs,)."""
+        row: Floats = self._results[RESULT_BANDWIDTH]
+        return row
+
+    def only(self) -> list[float]:
+        """Reward, damping, frequency ratio, bandwidth and mean squares of the first environment, in this order, as numbers."""
+        return self._results[:, 0].tolist()  # type: ignore[no-any-return]
 
 
 class Plant:
@@ -83,72 +186,101 @@ class Plant:
         self.dtype = np.dtype(task.precision)
         available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
         self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
-        self._block_size = COEFFICIENT + task.road.rows * LANES
+        road, car, noise = task.road, task.car, task.speed_noise
+        self._car = COEFFICIENT + road.rows * LANES
+        self._block_size = self._car + car.rows * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
-        self._counters = np.zeros(self.blocks * kernel.COUNTERS, np.uint32)
-        self._signals = np.array([kernel.SIGNALS.index(name) for name in task.signals])
+        self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
         self._max_episode_steps = max_episode_steps
         self._autoreset = AUTORESET[autoreset]
+        self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.weights), num_envs)
         self.started = False
 
-        w1, road = task.car.natural_frequency, task.road
-        substep = task.control_interval * w1 / task.substeps
-        noise = task.speed_noise
         within(f"variance of the {road.kind} road", road.variance, "variance")
-        self._road_table = padded_table(road, road.table(), self.dtype)
-        if noise is None:
-            self._speed_table = np.zeros(1, self.dtype)
-        else:
-            self._speed_table = padded_table(noise, noise.table(substep, w1, road), self.dtype)
-        self._numbers = np.zeros(kernel.SHARE + task.substeps + 1)
-        self._numbers[: kernel.WEIGHT] = (
-            substep,
-            *task.damping_range,
-            *(task.frequency_ratio(speed) for speed in task.speed),
-            *task.bandwidth,
-            task.warm_up_damping,
-            SATURATION,
-        )
-        self._numbers[kernel.WEIGHT : kernel.SHARE] = task.weights
-        self._numbers[kernel.SHARE :] = kernel.interval_weights(task.substeps)
-        self._integers = self._make_integers()
-
-    def _make_integers(self) -> npt.NDArray[np.int64]:
-        task, road, noise = self.task, self.task.road, self.task.speed_noise
-        integers = np.zeros(kernel.INTEGERS, np.int64)
-        integers[kernel.SUBSTEPS] = task.substeps
-        integers[kernel.ROAD_WORDS] = road.words_per_substep
-        integers[kernel.ROAD_PREPARE] = 0 if road.prepare is None else self._address(road, road.prepare)
-        integers[kernel.ROAD_START] = self._address(road, road.start)
-        integers[kernel.ROAD_ADVANCE] = self._address(road, road.advance)
-        integers[kernel.FILL_WORDS] = fill_words.address(np.uint32)
-        integers[kernel.CAR_GRIP] = kernel.grip_road.address(self.dtype)
-        integers[kernel.CAR_FOLLOW] = kernel.follow_road.address(self.dtype)
+        self._substep = task.control_interval * car.natural_frequency / task.substeps
+        low, high = min(*task.damping_range, task.warm_up_damping), max(*task.damping_range, task.warm_up_damping)
+        self._tables = {
+            "road": padded_table(f"table of the {road.kind} road", road.table(), self.dtype),
+            "car": padded_table(f"table of the {car.kind} car", car.table(self._substep, (low, high)), self.dtype),
+        }
         if noise is not None:
-            integers[kernel.SPEED_WORDS] = noise.words_per_substep
-            integers[kernel.SPEED_START] = self._address(noise, noise.start)
-            integers[kernel.SPEED_ADVANCE] = self._address(noise, noise.advance)
-        integers[kernel.MAX_EPISODE_STEPS] = self._max_episode_steps
-        integers[kernel.AUTORESET] = self._autoreset
-        integers[kernel.WARM_UP_STEPS] = round(task.warm_up / task.control_interval)
-        integers[kernel.BLOCK_SIZE] = self._block_size
-        integers[kernel.HAS_SLOPE] = road.has_slope and (noise is None or noise.smooth)
-        return integers
+            table = noise.table(self._substep, car.natural_frequency, road)
+            self._tables["speed"] = padded_table(f"table of the {noise.kind} speed noise", table, self.dtype, finite=False)
+        signals = list(car.mean_squares)
+        infinite = divergent_terms(car, road, noise)
+        self._constants: dict[str, npt.NDArray[Any]] = {
+            "weights": np.array(task.weights, np.float64),
+            "shares": interval_weights(task.substeps),
+            "factors": np.ascontiguousarray(car.motion.rows, np.float64),
+            "observed": np.array([self._observed_code(name) for name in task.signals], np.int64),
+            "infinite": np.array([name in infinite for name in signals], np.int64),
+        }
+        self._record = self._make_record()
 
-    def _address(self, component: Road | SpeedNoise, function: LaneFunction) -> int:
-        try:
-            return function.address(self.dtype)
-        except NumbaError as error:
-            raise ParameterError(f"a lane function of the {component.kind} component does not compile: {error}") from error
+    def _observed_code(self, name: str) -> int:
+        """How the kernel finds an observed signal."""
+        signals = self.task.car.motion.signals
+        if name in ("speed", "bandwidth"):
+            return OBSERVED_SPEED if name == "speed" else OBSERVED_BANDWIDTH
+        if name not in signals or dict(signals[name].terms) == {name: 1.0}:  # as it is
+            return self._offset(name)
+        return OBSERVED_SIGNAL - list(signals).index(name)
+
+    def _make_record(self) -> npt.NDArray[Any]:
+        """The plant as the kernel knows it; its addresses belong to this process."""
+        task, road, noise, car = self.task, self.task.road, self.task.speed_noise, self.task.car
+        record = np.zeros(1, PLANT)
+        functions: dict[str, tuple[Road | SpeedNoise | Car, LaneFunction | None]] = {
+            "road_prepare": (road, road.prepare),
+            "road_start": (road, road.start),
+            "road_advance": (road, road.advance),
+            "car_prepare": (car, car.prepare),
+            "car_advance": (car, car.advance),
+        }
+        if noise is not None:
+            functions |= {"speed_start": (noise, noise.start), "speed_advance": (noise, noise.advance)}
+        for name, (component, function) in functions.items():
+            record[name] = lane_address(component, function, self.dtype)
+        record["fill_words"] = fill_words.address(np.uint32)
+        for name, table in self._tables.items():
+            record[f"{name}_table"] = table.ctypes.data
+        for name, constants in self._constants.items():
+            record[name] = constants.ctypes.data
+        signals = list(car.mean_squares)
+        numbers = {
+            "substeps": task.substeps,
+            "road_words": road.words_per_substep,
+            "speed_words": 0 if noise is None else noise.words_per_substep,
+            "states": len(car.motion.states),
+            "signals": len(signals),
+            "squared": car.squared,
+            "relative": signals.index(car.motion.relative),
+            "observations": len(task.signals),
+            "block_size": self._block_size,
+            "car": self._car,
+            "work": compiled.WORK + (car.squared + car.working_rows) * LANES,
+            "warm_up_steps": round(task.warm_up / task.control_interval),
+            "max_episode_steps": self._max_episode_steps,
+            "autoreset": self._autoreset,
+            "substep": self._substep,
+            "warm_up_damping": task.warm_up_damping,
+            "saturation": SATURATION,
+        }
+        speeds = tuple(task.frequency_ratio(speed) for speed in task.speed)
+        for name, ends in (("damping", task.damping_range), ("speed", speeds), ("bandwidth", task.bandwidth)):
+            numbers[f"{name}_low"], numbers[f"{name}_high"] = ends
+        for name, number in numbers.items():
+            record[name] = number
+        return record
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        del state["_integers"]  # holds addresses, which belong to this process
+        del state["_record"]
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._integers = self._make_integers()
+        self._record = self._make_record()
 
     def _run(self, function: Callable[..., int], *arguments: Any) -> None:
         """Run a function of the kernel over all blocks.
@@ -157,10 +289,11 @@ class Plant:
             PlantError: a number is not finite.
         """
         if self.threads == 1:
-            unsound = function(0, self.blocks, *arguments)
+            unsound = function(0, self.blocks, self._record, self._state, self._counters, *arguments)
         else:
             edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
             pool = _pool()
+            arguments = (self._record, self._state, self._counters, *arguments)
             futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
             found = [function(edges[0], edges[1], *arguments), *(future.result() for future in futures)]
             unsound = min((environment for environment in found if environment >= 0), default=-1)
@@ -172,11 +305,11 @@ class Plant:
 
     def seed(self, seeds: npt.NDArray[np.uint64], mask: npt.NDArray[np.bool_]) -> None:
         """Give the masked environments new keys, shape (num_envs,) each, and start their count of episodes again."""
-        counters = self._counters.reshape(self.blocks, -1, LANES)
+        counters = self._counter_rows
         where = np.flatnonzero(mask)
         block, lane = np.divmod(where, LANES)
         counters[block, 0, lane], counters[block, 1, lane] = keys_from_seeds(seeds[where])
-        counters[block, kernel.EPISODE // LANES, lane] = np.uint32(0xFFFFFFFF)  # the reset makes it 0
+        counters[block, EPISODE // LANES, lane] = np.uint32(0xFFFFFFFF)  # the reset makes it 0
 
     def forced(self, options: dict[str, Any]) -> npt.NDArray[np.float64]:
         """The operating points that the options "speed" and "bandwidth" fix for the next episode; NaN where they do not.
@@ -200,65 +333,98 @@ class Plant:
             forced[row] = self.task.frequency_ratio(values) if name == "speed" else values
         return forced
 
-    def reset(
-        self, forced: npt.NDArray[np.float64], mask: npt.NDArray[np.bool_]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any]]:
-        """Start the masked environments in their next episode: observations (num_envs, signals), results (rows, num_envs)."""
-        observations = np.empty((self.num_envs, len(self._signals)), np.float32)
-        results = np.zeros((kernel.RESULTS, self.num_envs), self.dtype)
-        self._run(
-            kernel.reset_blocks,
-            self._state,
-            self._counters,
-            self._road_table,
-            self._speed_table,
-            self._integers,
-            self._numbers,
-            self._signals,
-            forced,
-            mask,
-            observations,
-            results,
-        )
+    def start(self, seeds: npt.NDArray[np.uint64]) -> Interval:
+        """Give every environment a seed, shape (num_envs,), and start its first episode."""
+        everyone = np.ones(self.num_envs, np.bool_)
+        self.seed(seeds, everyone)
+        return self.reset(self.forced({}), everyone)
+
+    def reset(self, forced: npt.NDArray[np.float64], mask: npt.NDArray[np.bool_]) -> Interval:
+        """Start the masked environments in their next episode; reward and mean squares are 0."""
+        observations = np.empty(self._observed, np.float32)
+        results = np.zeros(self._results, self.dtype)
+        self._run(kernel.reset_blocks, forced, mask, observations, results)
         self.started = True
-        return observations, results
+        return Interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
 
-    def step(
-        self, actions: npt.NDArray[np.float32]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.float32]]:
-        """One control interval: observations, results, truncated, and the final observations of episodes that ended.
+    def step(self, actions: npt.NDArray[np.float32]) -> Interval:
+        """One control interval with the damping ratios ``actions``, shape (num_envs,)."""
+        observations = np.empty(self._observed, np.float32)
+        final = np.empty_like(observations) if self._autoreset == SAME_STEP else observations
+        results = np.empty(self._results, self.dtype)
+        truncated = np.empty(self.num_envs, np.bool_)
+        self._run(kernel.step_blocks, actions, observations, results, truncated, final)
+        return Interval(observations, results, truncated, final)
 
-        The last are meaningful only where an episode was truncated, with the autoreset "same_step".
+    def trace(self, actions: npt.NDArray[np.float32]) -> tuple[Interval, npt.NDArray[Any], npt.NDArray[Any]]:
+        """`step`, and what was met on the way.
+
+        Returns:
+            The interval; the angle wavenumber * distance that each substep turned, and the level at its end in standard
+            deviations of the road, shape (substeps, num_envs) each.
         """
-        n = self.num_envs
-        observations = np.empty((n, len(self._signals)), np.float32)
-        final = np.empty_like(observations) if self._autoreset == kernel.SAME_STEP else observations
-        results = np.empty((kernel.RESULTS, n), self.dtype)
-        truncated = np.empty(n, np.bool_)
-        self._run(
-            kernel.step_blocks,
-            self._state,
-            self._counters,
-            self._road_table,
-            self._speed_table,
-            self._integers,
-            self._numbers,
-            self._signals,
-            actions,
-            observations,
-            results,
-            truncated,
-            final,
-        )
-        return observations, results, truncated, final
+        path = np.empty((self.blocks, self.task.substeps, 2, LANES), self.dtype)
+        self._record["path"] = path.ctypes.data
+        try:
+            interval = self.step(actions)
+        finally:
+            self._record["path"] = 0
+        angle, level = np.moveaxis(path, (2, 1), (0, 1)).reshape(2, self.task.substeps, -1)[:, :, : self.num_envs]
+        return interval, angle, level
 
-    def row(self, offset: int) -> npt.NDArray[Any]:
-        """A copy of one row of the state (see `roadgym.compiled`), shape (num_envs,), in the kernel's units."""
+    @property
+    def elapsed_steps(self) -> npt.NDArray[np.int64]:
+        """Control intervals since each environment's episode began, shape (num_envs,); can be set, to stagger their ends."""
+        return self._counter_rows[:, STEP // LANES].reshape(-1)[: self.num_envs].astype(np.int64)
+
+    @elapsed_steps.setter
+    def elapsed_steps(self, steps: npt.ArrayLike) -> None:
+        padded = np.resize(np.broadcast_to(np.asarray(steps, np.uint32), self.num_envs), self.blocks * LANES)
+        self._counter_rows[:, STEP // LANES] = padded.reshape(self.blocks, LANES)
+
+    @property
+    def _counter_rows(self) -> npt.NDArray[np.uint32]:
+        return self._counters.reshape(self.blocks, -1, LANES)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the state of all environments, bytes."""
+        return self._state.nbytes + self._counters.nbytes
+
+    @property
+    def road_states(self) -> npt.NDArray[Any]:
+        """The states of the road's shaping filter, shape (states, num_envs).
+
+        Raises:
+            ParameterError: a road that does not keep them.
+        """
+        rows = self.task.road.state_rows
+        if rows is None:
+            raise ParameterError(f"a {self.task.road.kind} road does not keep the states of a shaping filter")
+        return np.stack([self.row(row) for row in rows])
+
+    @property
+    def car_states(self) -> npt.NDArray[Any]:
+        """The states of the car, in the order of its motion, shape (states, num_envs)."""
+        return np.stack([self.row(name) for name in self.task.car.motion.states])
+
+    def _offset(self, row: str | int) -> int:
+        states = self.task.car.motion.states
+        if row in states:
+            return self._car + states.index(str(row)) * LANES
+        return BUS[row] if isinstance(row, str) else row
+
+    def row(self, row: str | int) -> npt.NDArray[Any]:
+        """A copy of one row of the state, shape (num_envs,), in the kernel's units.
+
+        Args:
+            row: the name of a state of the car, a name of `BUS`, or a row of the road's own by its offset.
+        """
         rows = self._state.reshape(self.blocks, -1, LANES)
-        return rows[:, offset // LANES, :].reshape(-1)[: self.num_envs].copy()
+        return rows[:, self._offset(row) // LANES, :].reshape(-1)[: self.num_envs].copy()
 
-    def set_row(self, offset: int, values: npt.ArrayLike) -> None:
+    def set_row(self, row: str | int, values: npt.ArrayLike) -> None:
         """Replace one row of the state, for every environment."""
         rows = self._state.reshape(self.blocks, -1, LANES)
         padded = np.resize(np.broadcast_to(np.asarray(values, self.dtype), self.num_envs), self.blocks * LANES)
-        rows[:, offset // LANES, :] = padded.reshape(self.blocks, LANES)
+        rows[:, self._offset(row) // LANES, :] = padded.reshape(self.blocks, LANES)

@@ -20,28 +20,22 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.error import DependencyNotInstalled
 
-from . import kernel
-from .compiled import BANDWIDTH, DISPLACEMENT, LANES, LEVEL, SPEED, TURN, LaneFunction
-from .noise import INTERVAL
-from .plant import Plant
+from .drawing import BODY, BODY_HEIGHT, BODY_WIDTH, BRIDGE, GAP, GREY, INK, PAPER, WHEEL, Canvas, Colour
+from .installation import needs
+from .plant import Interval, Plant
 from .task import Task
 
-try:
+with needs("render"):
     import pygame
-except ImportError as error:
-    raise DependencyNotInstalled("drawing needs pygame: pip install 'roadgym[render]'") from error
 
 Floats = npt.NDArray[np.floating[Any]]
-Colour = tuple[int, int, int]
 
 FRAMES_PER_SECOND = 60
 WIDTH, HEIGHT = 800, 640  # of the picture, pixels; multiples of 16, as video encoders like them
 
 # Okabe and Ito's colours, told apart by readers with any colour vision
-PAPER, INK, GREY, HAIRLINE = (255, 255, 255), (45, 45, 45), (110, 110, 110), (225, 225, 225)
-BODY, ROAD, GROUND = (0, 114, 178), (70, 66, 60), (236, 232, 224)
+HAIRLINE, ROAD, GROUND = (225, 225, 225), (70, 66, 60), (236, 232, 224)
 REWARD, REWARD_AREA = (0, 158, 115), (204, 236, 227)
 SOFT, MEDIUM, FIRM = (240, 228, 66), (230, 159, 0), (213, 94, 0)  # the damper at D_min, in the middle, at D_max
 
@@ -52,22 +46,14 @@ PIXELS_PER_RADIAN = 40.0  # of the road's angle wavenumber * distance
 ROAD_ZERO, ROAD_REACH, GROUND_BOTTOM = 352, 56, 432  # mean level, highest level above it, where the ground ends
 TRACE_ZERO, TRACE_REACH = 508, 44
 REWARD_ZERO, REWARD_REACH = 568, 40
-WHEEL, HUB, BRIDGE = 22.0, 23.5, 52.0  # the wheel's radius; its hub and the bridge under the spring, above the road
-GAP, BODY_WIDTH, BODY_HEIGHT = 140.0, 148.0, 46.0  # from bridge to body at rest; the body's size
 BAR_TOP, BAR_WIDTH, BAR_HEIGHT = 124, 14, 136  # scale of the damping ratio
 CAR_LEFT, CAR_WIDTH = NOW - 80, 160  # the columns that the car may cover
 CAR_HEIGHT = int(BODY_HEIGHT + GAP + BRIDGE) + 2 * ROAD_REACH + 2  # the most rows that it can cover
 
-SYMBOLS = ("y²", "ẏ²", "ÿ²", "(y−z)²", "(ẏ−ż)²")  # of `car.MEAN_SQUARES`
 SMOOTHING = 3  # the car is drawn this much larger and scaled down, which smooths its edges
 TYPICAL = 3.0  # standard deviations of the road that the scale shows at least
 ZOOM = 0.98  # how fast the scale returns, a step
 POINTS = 4096  # of the road that are remembered at most
-
-
-@LaneFunction
-def keep_words(counters: Any, words: Any, request: Any) -> None:
-    """In place of `roadgym.noise.fill_words` where the words are there already."""
 
 
 class History:
@@ -79,7 +65,8 @@ class History:
     Attributes:
         path: (angle travelled, level) at the ends of the substeps, as far back as a picture shows; fewer where the car is so
             slow that they would lie within a quarter of a pixel.
-        trace: displacement, level and reward at the ends of the last steps, shape (steps, 3); no reward (0) at the start.
+        heights: those of the car's masses now, the body's first.
+        trace: height of the body, level and reward at the ends of the last steps, shape (steps, 3); no reward (0) at the start.
         damping: D that the last step applied.
         steps: since the episode began.
         cost: sum of minus the rewards since then.
@@ -89,50 +76,36 @@ class History:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self.path = collections.deque([(0.0, float(plant.row(LEVEL)[0]))], maxlen=POINTS)
+        motion = plant.task.car.motion
+        self._heights = [state for state, height in zip(motion.states, motion.follows, strict=True) if height]
+        self.path = collections.deque([(0.0, float(plant.row("level")[0]))], maxlen=POINTS)
         self.trace: Floats = np.zeros((0, 3))
         self.damping = plant.task.damping_range[0]
         self.steps, self.cost = 0, 0.0
         self.limit, self.reward_limit = TYPICAL, 1.0
         self._remember(0.0)
 
-    def step(self, actions: npt.NDArray[np.float32]) -> Any:
-        """`Plant.step`, remembered.
-
-        The kernel reports where a step ends. How the road went in between, and how far the car came where its speed is noise,
-        is found by driving a copy of the car again, one substep after the other: the noise is a function of counters, so the
-        copy meets the same road.
-        """
-        plant = self._plant
-        lanes, counters = plant._state[: plant._block_size].copy(), plant._counters[: kernel.COUNTERS].copy()
-        result = plant.step(actions)
-        reward, self.damping = (float(result[1][row, 0]) for row in (kernel.REWARD, kernel.RESULT_DAMPING))
-
-        integers, tables = plant._integers.copy(), (plant._road_table, plant._speed_table)
-        numbers = plant._numbers
-        rows = int(integers[kernel.ROAD_WORDS] + integers[kernel.SPEED_WORDS])
-        words = np.empty(LANES * (plant.task.substeps * rows + 3), np.uint32)
-        kernel.draw_words(words, counters, integers, INTERVAL, plant.task.substeps * rows)
-        scratch = kernel.make_scratch(lanes, numbers)
-        scratch[kernel.DAMPING : kernel.DAMPING + LANES] = self.damping
-        integers[kernel.SUBSTEPS], integers[kernel.FILL_WORDS] = 1, keep_words.address(np.uint32)
-        for k in range(plant.task.substeps):
-            kernel.drive_interval(lanes, scratch, counters, words[LANES * rows * k :], *tables, integers, numbers, INTERVAL)
-            end = self.path[-1][0] + float(lanes[TURN]), float(lanes[LEVEL])
+    def step(self, actions: npt.NDArray[np.float32]) -> Interval:
+        """`Plant.step`, remembered: how the road went, and how far the car came where its speed is noise."""
+        interval, angle, level = self._plant.trace(actions)
+        reward, self.damping, *_ = interval.only()
+        for turn, end in zip(angle[:, 0].tolist(), level[:, 0].tolist(), strict=True):
+            here = self.path[-1][0] + turn
             if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / PIXELS_PER_RADIAN:
                 self.path.pop()
-            self.path.append(end)
+            self.path.append((here, end))
         while len(self.path) > 2 and self.path[1][0] < self.path[-1][0] - (NOW - LEFT) / PIXELS_PER_RADIAN:
             self.path.popleft()
 
         self.steps += 1
         self.cost -= reward
         self._remember(reward)
-        return result
+        return interval
 
     def _remember(self, reward: float) -> None:
-        displacement, level = (float(self._plant.row(row)[0]) for row in (DISPLACEMENT, LEVEL))
-        self.trace = np.vstack([self.trace, (displacement, level, reward)])[-STEPS_SHOWN - 1 :]
+        self.heights = [float(self._plant.row(name)[0]) for name in self._heights]
+        level = float(self._plant.row("level")[0])
+        self.trace = np.vstack([self.trace, (self.heights[0], level, reward)])[-STEPS_SHOWN - 1 :]
         highest = max(abs(level) for _, level in self.path)
         self.limit = max(TYPICAL, highest, float(np.abs(self.trace[:, :2]).max()), ZOOM * self.limit)
         self.reward_limit = max(1.0, -float(self.trace[:, 2].min()), ZOOM * self.reward_limit)
@@ -140,12 +113,12 @@ class History:
     @property
     def speed(self) -> float:
         """Frequency ratio nu of this episode."""
-        return float(self._plant.row(SPEED)[0])
+        return float(self._plant.row("speed")[0])
 
     @property
     def bandwidth(self) -> float:
         """Bandwidth of the road in this episode; 0 on a road without one."""
-        return float(self._plant.row(BANDWIDTH)[0])
+        return float(self._plant.row("bandwidth")[0])
 
 
 def share_scales(histories: Sequence[History]) -> None:
@@ -186,8 +159,10 @@ class Picture:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        terms = {name: weight for name, weight in zip(SYMBOLS, task.weights, strict=True) if weight}
-        self._cost = " + ".join(name if weight == 1 else f"{weight:g} {name}" for name, weight in terms.items())
+        symbols = {name: f"{signal.symbol}²" for name, signal in task.car.motion.signals.items()}
+        self._cost = " + ".join(
+            symbols[name] if weight == 1 else f"{weight:g} {symbols[name]}" for name, weight in task.weights_by_name.items()
+        )
         self._fonts: dict[tuple[int, bool], pygame.font.Font] = {}
         self._pixels = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)
         self._page = pygame.image.frombuffer(self._pixels.data, (WIDTH, HEIGHT), "RGB")  # the same memory, for pygame's drawing
@@ -336,47 +311,23 @@ class Picture:
     def _draw_car(self, history: History) -> None:
         height = ROAD_REACH / history.limit
         contact = ROAD_ZERO - history.trace[-1, 1] * height
-        bottom = ROAD_ZERO - BRIDGE - GAP - history.trace[-1, 0] * height
-        top = math.floor(bottom - BODY_HEIGHT)
+        bodies = [ROAD_ZERO - value * height for value in history.heights]
+        top = math.floor(bodies[0] - BRIDGE - GAP - BODY_HEIGHT)
         rows = math.ceil(contact) - top
-        contact, bottom, middle = contact - top, bottom - top, NOW - CAR_LEFT
-        bridge = contact - BRIDGE
-        car = self._car.subsurface((0, 0, SMOOTHING * CAR_WIDTH, SMOOTHING * rows))
-        small_car = self._small_car.subsurface((0, 0, CAR_WIDTH, rows))
-        car.fill((0, 0, 0, 0))
-
-        def box(colour: Colour, left: float, top: float, width: float, height: float, radius: float = 0.0) -> None:
-            where = [round(SMOOTHING * value) for value in (left, top, width, height)]
-            pygame.draw.rect(car, colour, where, border_radius=round(SMOOTHING * radius))
-
-        def disc(colour: Colour, x: float, y: float, radius: float) -> None:
-            pygame.draw.circle(car, colour, (round(SMOOTHING * x), round(SMOOTHING * y)), round(SMOOTHING * radius))
-
-        # the spring's seven turns, lighter where they go behind
-        turns, each = 7, 24
-        turn = np.linspace(0, turns, turns * each + 1)
-        coil = np.stack([middle - 30 + 16 * np.sin(2 * np.pi * turn), bridge + (bottom - bridge) * turn / turns], axis=1)
-        strand = np.rint(SMOOTHING * coil).tolist()
-        pygame.draw.lines(car, (165, 165, 165), False, strand, 2 * SMOOTHING)
-        for k in range(turns):
-            pygame.draw.lines(car, INK, False, strand[each * k + each // 4 : each * k + 3 * each // 4 + 1], 3 * SMOOTHING)
-
-        box(GREY, middle + 28, bottom, 5, bridge - bottom)
-        box(INK, middle + 18, bridge - 66, 25, 66, 4)
-        box(damper_colour(self._share(history)), middle + 20, bridge - 64, 21, 62, 2.5)
-        box(BODY, middle - BODY_WIDTH / 2, bottom - BODY_HEIGHT, BODY_WIDTH, BODY_HEIGHT, 10)
-        box(PAPER, middle - BODY_WIDTH / 2 + 8, bottom - BODY_HEIGHT / 2 - 1, 16, 2)
-        box(PAPER, middle + BODY_WIDTH / 2 - 24, bottom - BODY_HEIGHT / 2 - 1, 16, 2)
-
-        box(INK, middle - 3, bridge, 6, BRIDGE - HUB)
-        box(INK, middle - 54, bridge - 3, 108, 6, 3)
-        hub, rolled = contact - HUB, history.path[-1][0] * PIXELS_PER_RADIAN / WHEEL
-        disc(INK, middle, hub, WHEEL)
-        disc((214, 214, 214), middle, hub, 13)
-        disc(INK, middle + 9 * math.cos(rolled), hub + 9 * math.sin(rolled), 2)
-        disc(INK, middle, hub, 4)
+        canvas = Canvas(
+            surface=self._car.subsurface((0, 0, SMOOTHING * CAR_WIDTH, SMOOTHING * rows)),
+            scale=SMOOTHING,
+            middle=NOW - CAR_LEFT,
+            contact=contact - top,
+            heights=[body - top for body in bodies],
+            damper=damper_colour(self._share(history)),
+            rolled=history.path[-1][0] * PIXELS_PER_RADIAN / WHEEL,
+        )
+        canvas.surface.fill((0, 0, 0, 0))
+        self.task.car.draw(canvas)
         # all is opaque on nothing, so averaged colours come out multiplied by their share
-        pygame.transform.smoothscale(car, (CAR_WIDTH, rows), small_car)
+        small_car = self._small_car.subsurface((0, 0, CAR_WIDTH, rows))
+        pygame.transform.smoothscale(canvas.surface, (CAR_WIDTH, rows), small_car)
         self._page.blit(small_car, (CAR_LEFT, top), special_flags=pygame.BLEND_PREMULTIPLIED)
 
     def _share(self, history: History) -> float:

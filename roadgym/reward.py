@@ -5,34 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .car import MEAN_SQUARES
+from .cars import Car
 from .parameters import ParameterError, non_negative, shown, within
 from .roads import Road
 from .speed import SpeedNoise
 
 
-def divergent_terms(road: Road, speed_noise: SpeedNoise | None) -> tuple[str, ...]:
+def divergent_terms(car: Car, road: Road, speed_noise: SpeedNoise | None) -> tuple[str, ...]:
     """Mean squares that are infinite on this plant, because the road's rate of change contains white noise."""
-    if road.has_slope and (speed_noise is None or speed_noise.smooth):
-        return ()
-    return "acceleration", "relative_velocity"
+    smooth = road.has_slope and (speed_noise is None or speed_noise.smooth)
+    return () if smooth else car.motion.rough
 
 
-def check_weights(weights: Mapping[str, float], road: Road, speed_noise: SpeedNoise | None = None) -> dict[str, float]:
-    """The weights of the reward by mean square, all five, zero where none was given.
+def check_weights(weights: Mapping[str, float], car: Car, road: Road, speed_noise: SpeedNoise | None) -> dict[str, float]:
+    """The weights of the reward by mean square of the car, all of them, zero where none was given.
 
     Raises:
         ParameterError: an unknown mean square, a negative weight, no positive weight, or weight on one that diverges.
     """
+    known = car.mean_squares
     if not isinstance(weights, Mapping):
-        raise ParameterError(f"reward must be a mapping from {', '.join(MEAN_SQUARES)} to weights, got {shown(weights)}")
+        raise ParameterError(f"reward must be a mapping from {', '.join(known)} to weights, got {shown(weights)}")
     for name in weights:
-        if name not in MEAN_SQUARES:
-            raise ParameterError(f"unknown reward term {shown(name)}; known: {', '.join(MEAN_SQUARES)}")
-    result = {name: _weight(f"weight of {name}", weights.get(name, 0.0)) for name in MEAN_SQUARES}
+        if name not in known:
+            raise ParameterError(f"unknown reward term {shown(name)}; known: {', '.join(known)}")
+    result = {name: _weight(f"weight of {name}", weights.get(name, 0.0)) for name in known}
     if not any(result.values()):
         raise ParameterError(f"reward needs at least one positive weight, got {shown(dict(weights))}")
-    for name in divergent_terms(road, speed_noise):
+    for name in divergent_terms(car, road, speed_noise):
         if result[name]:
             cause = f"{speed_noise.kind} speed noise" if speed_noise and road.has_slope else f"a {road.kind} road"
             raise ParameterError(f"the mean square of {name} is infinite on {cause}, so its weight must be 0")

@@ -96,6 +96,16 @@ class SpeedNoise(abc.ABC):
     def rates(self) -> tuple[float, float, float]:
         """(w_g, pull of Psi on dphi/dt, white noise in dphi over that in Psi): rad/s, rad/s, 1."""
 
+    @property
+    def phase_spread(self) -> tuple[float, float]:
+        """(p, q): the random part of the phase has the variance sigma^2 (p t - q f(t)), f(t) = (1 - exp(-w_g t))/w_g; both 1.
+
+        By integration of Psi over the time: with (w_g, pull, white) and a = pull/w_g, p = (a + white)^2, q = a (a + 2 white).
+        """
+        corner, pull, white = self.rates
+        share = pull / corner if corner > 0 else 0.0
+        return (share + white) ** 2, share * (share + 2 * white)
+
     def check_road(self, road: Road) -> None:
         """Raise `ParameterError` unless this noise is defined on ``road``."""
         if not (road.takes_phase_noise or self.smooth):

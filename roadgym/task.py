@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from .car import MEAN_SQUARES, QuarterCar
+from .cars import Car, make_car
 from .compiled import LaneFunction
-from .kernel import SIGNALS
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
+from .record import OBSERVED
 from .reward import check_weights, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise
@@ -39,7 +39,7 @@ class Task:
         speed: range of mean speeds, m/s, from which each reset draws uniformly.
         bandwidth: range of road bandwidths, 1, likewise; (0, 0) on a road without one.
         damping_range: range of the action D, 1.
-        weights: weight of each mean square in the reward, in the order of `car.MEAN_SQUARES`.
+        weights: weight of each mean square in the reward, in the order of `roadgym.cars.Car.mean_squares`.
         signals: names of the observed signals, in order.
         control_interval: time between actions, s.
         substeps: substeps in a control interval.
@@ -49,7 +49,7 @@ class Task:
 
     road: Road
     speed_noise: SpeedNoise | None
-    car: QuarterCar
+    car: Car
     speed: tuple[float, float]
     bandwidth: tuple[float, float]
     damping_range: tuple[float, float]
@@ -64,7 +64,7 @@ class Task:
     @property
     def weights_by_name(self) -> dict[str, float]:
         """The positive weights of the reward, by mean square."""
-        return {name: weight for name, weight in zip(MEAN_SQUARES, self.weights, strict=True) if weight}
+        return {name: weight for name, weight in zip(self.car.mean_squares, self.weights, strict=True) if weight}
 
     @property
     def action_space(self) -> spaces.Box[np.float32]:
@@ -94,9 +94,14 @@ class Task:
         return speed * self.road.wavenumber / self.car.natural_frequency
 
 
-def _observable(road: Road, speed_noise: SpeedNoise | None, bandwidth: tuple[float, float]) -> list[str]:
+def signals(car: Car) -> tuple[str, ...]:
+    """Names of all that can be observed of a plant with this car."""
+    return (*car.mean_squares, *OBSERVED)
+
+
+def _observable(car: Car, road: Road, speed_noise: SpeedNoise | None, bandwidth: tuple[float, float]) -> list[str]:
     """Signals that are numbers on this plant."""
-    names = [name for name in SIGNALS if name not in divergent_terms(road, speed_noise)]
+    names = [name for name in signals(car) if name not in divergent_terms(car, road, speed_noise)]
     if not road.has_slope:
         names.remove("slope")
     if bandwidth[1] == 0:
@@ -104,30 +109,34 @@ def _observable(road: Road, speed_noise: SpeedNoise | None, bandwidth: tuple[flo
     return names
 
 
-def check_component(component: Road | SpeedNoise | None) -> None:
-    """Check the number of words and the lane functions of a road or a speed noise, which may be somebody's own.
+def check_component(component: Road | SpeedNoise | Car, what: str) -> None:
+    """Check what a component, which may be somebody's own, says of itself: its lane functions, their rows and words.
+
+    Args:
+        component: the component.
+        what: "road", "speed noise" or "car".
 
     Raises:
         ParameterError: what is none of these.
     """
-    if component is None:
-        return
-    name = f"the {component.kind} {'road' if isinstance(component, Road) else 'speed noise'}"
-    whole(f"words_per_substep of {name}", component.words_per_substep, low=0, of="words of a component")
-    if isinstance(component, Road):
-        whole(f"rows of {name}", component.rows, low=0, of="rows of a road")
-    functions = {"start": component.start, "advance": component.advance}
-    if isinstance(component, Road):
-        if not (isinstance(component.precision, str) and component.precision in ("float32", "float64")):
-            raise ParameterError(f'precision of {name} must be "float32" or "float64", got {shown(component.precision)}')
-        if component.prepare is not None:
-            functions["prepare"] = component.prepare
-    for role, function in functions.items():
-        if not isinstance(function, LaneFunction):
+    name = f"the {component.kind} {what}"
+    precision = getattr(component, "precision", "float32")
+    if not (isinstance(precision, str) and precision in ("float32", "float64")):
+        raise ParameterError(f'precision of {name} must be "float32" or "float64", got {shown(precision)}')
+    for attribute, of in COUNTED.items():
+        if hasattr(component, attribute):
+            whole(f"{attribute} of {name}", getattr(component, attribute), low=0, of=of)
+    for role in LANE_FUNCTIONS[what]:
+        function = getattr(component, role)
+        if not isinstance(function, LaneFunction) and not (what == "road" and role == "prepare" and function is None):
             raise ParameterError(f"{role} of {name} must be a LaneFunction, got {shown(function)}")
 
 
-def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, speed: float, bandwidth: float = 0.0) -> float:
+COUNTED = {"words_per_substep": "words of a component", "rows": "rows of a component", "working_rows": "rows of a component"}
+LANE_FUNCTIONS = {"road": ("prepare", "start", "advance"), "speed noise": ("start", "advance"), "car": ("prepare", "advance")}
+
+
+def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: Car, speed: float, bandwidth: float = 0.0) -> float:
     """Angular rate, rad/s, whose product with a substep must be at most `LARGEST_ANGLE`.
 
     The largest of those of the car, of the road at ``speed``, and of the noise on the speed. At constant speed and damping it
@@ -145,7 +154,7 @@ def fastest_rate(road: Road, speed_noise: SpeedNoise | None, car: QuarterCar, sp
     corner frequency keep the mean squares within 0.5 %.
     """
     rate = speed * road.wavenumber
-    fastest = max(rate * math.pow(max(1.0, bandwidth / BROAD), 2 / 3), car.natural_frequency)
+    fastest = max(rate * math.pow(max(1.0, bandwidth / BROAD), 2 / 3), car.fastest * car.natural_frequency)
     if speed_noise is None:
         return fastest
     square, corner = float(speed_noise.intensity**2), speed_noise.rates[0]
@@ -179,14 +188,13 @@ def check_plant(
 
 
 def _needed_precision(
-    road: Road, ratio: float, bandwidths: tuple[float, float], damping: tuple[float, float], substep: float
+    road: Road, car: Car, ratio: float, bandwidths: tuple[float, float], damping: tuple[float, float], substep: float
 ) -> str:
     """The format that keeps the mean squares within 1e-4; ``ratio`` is the least nu, ``substep`` in units of 1/w1.
 
     In a substep a slow motion loses little, and is rounded by 2^-24 of itself: the one must be much more than the other.
     """
-    firm = max(damping[1], 1.0)
-    slowest = min(damping[0], 1 / (firm + math.sqrt(firm * firm - 1)))  # of the car: D - sqrt(D^2 - 1) beyond D = 1
+    slowest = min(car.decay(end) for end in damping)
     slowest = min(slowest, *(ratio * min(delta, 0.5 / delta) if delta > 0 else ratio for delta in bandwidths))
     single = slowest * substep >= SINGLE_DECAY and substep >= SINGLE_SUBSTEP
     if road.lines is not None:
@@ -197,7 +205,7 @@ def _needed_precision(
 def _substeps(
     road: Road,
     speed_noise: SpeedNoise | None,
-    car: QuarterCar,
+    car: Car,
     speeds: tuple[float, float],
     bandwidth: float,
     damping: float,
@@ -207,7 +215,7 @@ def _substeps(
     """Substeps in a control interval: those ``given`` if they are enough to be stable, or as many as it takes to be exact."""
     # the slowest speed is the one that noise stops most easily, the fastest turns the road the fastest
     angle = interval * max(fastest_rate(road, speed_noise, car, end, bandwidth) for end in speeds)
-    decay = damping * interval * car.natural_frequency
+    decay = damping * car.firmness * interval * car.natural_frequency
     if given is None:
         needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(decay / LARGEST_DECAY - 1e-9), 2)
         check_ratio(
@@ -223,7 +231,7 @@ def _substeps(
     followed = speed_noise if road.takes_phase_noise else None
     largest = interval * max(
         fastest_rate(road, followed, car, speeds[1]),
-        damping * car.natural_frequency / 2,
+        damping * car.firmness * car.natural_frequency / 2,
         speeds[1] * road.wavenumber * bandwidth,
     )
     check_ratio("substeps", given, "the largest angle in a substep", largest / number, "substep")
@@ -241,7 +249,8 @@ class TaskParameters(TypedDict, total=False):
     reward: Mapping[str, float] | None
     observation: Sequence[str] | None
     observe_operating_point: bool
-    natural_frequency: float
+    car: str | Mapping[str, Any] | Car | None
+    natural_frequency: float | None
     control_interval: float | None
     substeps: int | None
     warm_up: float
@@ -259,7 +268,8 @@ def make_task(
     reward: Mapping[str, float] | None = None,
     observation: Sequence[str] | None = None,
     observe_operating_point: bool = True,
-    natural_frequency: float = 1.0,
+    car: str | Mapping[str, Any] | Car | None = None,
+    natural_frequency: float | None = None,
     control_interval: float | None = None,
     substeps: int | None = None,
     warm_up: float = 0.0,
@@ -276,11 +286,13 @@ def make_task(
             variance stays.
         damping_range: range (low, high) of the damping ratio, 0 < low < high.
         reward: weight of each mean square; {"displacement": 1.0} by default.
-        observation: names of the observed signals; by default displacement, velocity, level and, where it exists, slope.
+        observation: names of the observed signals; by default the states of the car (displacement and velocity), level and,
+            where it exists, slope.
             An empty sequence leaves the operating point alone.
         observe_operating_point: whether "speed" and, where it exists, "bandwidth" are appended to the observed signals where
             they are not among them; if not, only what ``observation`` names is observed.
-        natural_frequency: w1 of the car, rad/s.
+        car: name, mapping with the key "kind", or `Car`; the car of one mass by default.
+        natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
             speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
@@ -298,11 +310,13 @@ def make_task(
     """
     the_road = make_road(road)
     noise = make_speed_noise(speed_noise, the_road)
-    for component in (the_road, noise):
-        check_component(component)
+    the_car = make_car(car, natural_frequency)
+    check_component(the_road, "road")
+    check_component(the_car, "car")
+    if noise is not None:
+        check_component(noise, "speed noise")
     the_road.check_driven()
-    car = QuarterCar(natural_frequency=within("natural_frequency", natural_frequency))
-    w1 = car.natural_frequency
+    w1 = the_car.natural_frequency
     speeds = positive_range("speed", speed)
     check_plant(the_road, noise, speeds, w1)
     own = getattr(the_road, "bandwidth", None)
@@ -315,11 +329,11 @@ def make_task(
     damping = positive_range("damping_range", damping_range, "damping")
     if damping[0] == damping[1]:
         raise ParameterError(f"damping_range must be a pair (low, high) with low < high, got {shown(damping_range)}")
-    weights = check_weights({"displacement": 1.0} if reward is None else reward, the_road, noise)
+    weights = check_weights({"displacement": 1.0} if reward is None else reward, the_car, the_road, noise)
 
-    observable = _observable(the_road, noise, bandwidths)
+    observable = _observable(the_car, the_road, noise, bandwidths)
     if observation is None:
-        observation = [name for name in ("displacement", "velocity", "level", "slope") if name in observable]
+        observation = [name for name in (*the_car.motion.states, "level", "slope") if name in observable]
     if isinstance(observation, str) or not isinstance(observation, Sequence):
         raise ParameterError(f"observation must be a sequence of signal names, got {shown(observation)}")
     names = list(observation)
@@ -342,7 +356,7 @@ def make_task(
     warm_up = non_negative("warm_up", warm_up)
     check_ratio("warm_up", warm_up, "warm_up * w1", warm_up * w1, "relative warm-up")
     stiffness = damping[1] if warm_up_damping is None else within("warm_up_damping", warm_up_damping, "damping")
-    number = _substeps(the_road, noise, car, speeds, bandwidths[1], max(damping[1], stiffness), interval, substeps)
+    number = _substeps(the_road, noise, the_car, speeds, bandwidths[1], max(damping[1], stiffness), interval, substeps)
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
     check_ratio(
         "control_interval",
@@ -374,15 +388,15 @@ def make_task(
     if the_road.precision == "float64" and precision == "float32":
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')
     if precision is None:
-        precision = _needed_precision(the_road, slowest, bandwidths, damping, interval * w1 / number)
+        precision = _needed_precision(the_road, the_car, slowest, bandwidths, damping, interval * w1 / number)
     return Task(
         road=the_road,
         speed_noise=noise,
-        car=car,
+        car=the_car,
         speed=speeds,
         bandwidth=bandwidths,
         damping_range=damping,
-        weights=tuple(weights[name] for name in MEAN_SQUARES),
+        weights=tuple(weights[name] for name in the_car.mean_squares),
         signals=tuple(names),
         control_interval=interval,
         substeps=number,

@@ -11,16 +11,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from .car import MEAN_SQUARES
-from .compiled import BANDWIDTH, DISPLACEMENT, LEVEL, SLOPE, SPEED, VELOCITY
 from .env import RESET_OPTIONS, check_options
-from .kernel import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, RESULT_SQUARE, REWARD
 from .parameters import ParameterError, shown, single_precision, whole
-from .plant import Plant
+from .plant import Interval, Plant
 from .task import TaskParameters, make_task
 
 Floats = npt.NDArray[np.float32]
-STATE = (DISPLACEMENT, VELOCITY, LEVEL, SLOPE, SPEED, BANDWIDTH)
 
 
 def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -79,7 +75,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.signal_names = self.task.signals
         self.signal_scale = self.task.signal_scale
-        self._plant = Plant(
+        self.plant = Plant(
             self.task,
             self.num_envs,
             max_episode_steps=limit,
@@ -90,28 +86,28 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
         self._all = np.ones(self.num_envs, np.bool_)
 
-    def _operating_point(self, results: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        info: dict[str, Any] = {"speed": results[RESULT_SPEED] * self._metres_per_second, "_speed": mask}
+    def _operating_point(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        info: dict[str, Any] = {"speed": interval.frequency_ratio * self._metres_per_second, "_speed": mask}
         if self.task.bandwidth[1] > 0:
-            info["bandwidth"], info["_bandwidth"] = results[RESULT_BANDWIDTH], mask
+            info["bandwidth"], info["_bandwidth"] = interval.bandwidth, mask
         return info
 
     def _seeds(self, seed: int | Sequence[int | None] | None, mask: npt.NDArray[np.bool_]) -> None:
         """Seed the masked environments: s + i from an integer s, or one each from a sequence, None leaving one as it is."""
         n = self.num_envs
         if seed is None:
-            if self._plant.started:
+            if self.plant.started:
                 return
             seed = int(self.np_random.integers(2**63))
         if isinstance(seed, int):
             seeds = np.arange(n, dtype=np.uint64) + np.uint64(seed)
         else:
-            if not self._plant.started:
+            if not self.plant.started:
                 fresh = self.np_random.integers(2**63, size=n).tolist()
                 seed = [new if given is None else given for given, new in zip(seed, fresh, strict=True)]
             mask = mask & np.array([given is not None for given in seed])
             seeds = np.array([given or 0 for given in seed], np.uint64)
-        self._plant.seed(seeds, mask)
+        self.plant.seed(seeds, mask)
 
     def _checked_seed(self, seed: Any) -> int | list[int | None] | None:
         """``seed`` as Python's integers, with room for the last environment; see `_seeds`."""
@@ -140,44 +136,45 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         if not usable or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ParameterError(f"option 'reset_mask' must be a boolean array of shape ({self.num_envs},), got {shown(mask)}")
         mask = np.require(mask, np.bool_, ["C", "A", "W"])  # as compiled code takes it
-        if not self._plant.started and not mask.all():
+        if not self.plant.started and not mask.all():
             raise ResetNeeded("the first reset must reset every environment")
-        forced = self._plant.forced(chosen)
+        forced = self.plant.forced(chosen)
         checked = self._checked_seed(seed)
         super().reset(seed=checked if isinstance(checked, int) else None)
         self._seeds(checked, mask)
-        observations, results = self._plant.reset(forced, mask)
-        return observations, self._operating_point(results, mask.copy())
+        began = self.plant.reset(forced, mask)
+        return began.observations, self._operating_point(began, mask.copy())
 
     def state(self) -> npt.NDArray[np.float64]:
-        """The state (Y, X, Z, U, nu, delta) of car and road, shape (num_envs, 6), whatever is observed.
+        """The states of the car, then (Z, U, nu, delta), whatever is observed; shape (num_envs, 6) with one mass, (Y, X) first.
 
-        The first four are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0 on
-        a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
+        States and level are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0
+        on a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
         """
-        return np.stack([self._plant.row(offset) for offset in STATE], axis=1).astype(float)
+        names = (*self.task.car.motion.states, "level", "slope", "speed", "bandwidth")
+        return np.stack([self.plant.row(name) for name in names], axis=1).astype(float)
 
     def step(
         self, actions: Floats
     ) -> tuple[Floats, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
         """Drive one control interval with the damping ratios ``actions``, shape (num_envs, 1)."""
-        if not self._plant.started:
+        if not self.plant.started:
             raise ResetNeeded("call reset before step")
         damping = single_precision("actions", actions, (self.num_envs, 1))
         if not np.isfinite(damping).all():
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
-        observations, results, truncated, final = self._plant.step(damping.reshape(-1))
-        squares = results[RESULT_SQUARE : RESULT_SQUARE + 5]
-        squares *= self._plant.dtype.type(self.task.road.variance)
+        interval = self.plant.step(damping.reshape(-1))
+        truncated, squares = interval.truncated, interval.mean_squares
+        squares *= self.plant.dtype.type(self.task.road.variance)
         mask = self._all.copy()
-        info = self._operating_point(results, mask)
-        for name, row in zip(MEAN_SQUARES, squares, strict=True):
+        info = self._operating_point(interval, mask)
+        for name, row in zip(self.task.car.mean_squares, squares, strict=True):
             info[name], info["_" + name] = row, mask
-        info["damping"], info["_damping"] = results[RESULT_DAMPING], mask
+        info["damping"], info["_damping"] = interval.damping, mask
         if self._same_step and truncated.any():
             final_info = {name: value.copy() if name[0] == "_" else value for name, value in info.items()}
             info["final_info"], info["_final_info"] = final_info, truncated.copy()
             info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None, object), truncated.copy()
             for i in np.flatnonzero(truncated):
-                info["final_obs"][i] = final[i]
-        return observations, results[REWARD], np.zeros(self.num_envs, np.bool_), truncated, info
+                info["final_obs"][i] = interval.final_observations[i]
+        return interval.observations, interval.reward, np.zeros(self.num_envs, np.bool_), truncated, info

@@ -12,11 +12,11 @@ from agents.features import Features
 from agents.vec_env import QuarterCarVecEnv
 from analysis.quadratic import plant_system, value_form
 from roadgym import ParameterError
-from roadgym.compiled import DISPLACEMENT, LEVEL, SLOPE, VELOCITY
 from roadgym.plant import Plant
 from roadgym.task import make_task
 
 ENVIRONMENT = {"road": "multiplicative", "speed": (0.7, 3.0), "bandwidth": (0.1, 0.3)}
+STATE = ("displacement", "velocity", "level", "slope")
 WEIGHTS = {"displacement": 1.0, "velocity": 0.2, "acceleration": 0.3, "travel": 0.5, "relative_velocity": 0.1}
 
 
@@ -51,17 +51,15 @@ def test_advantage_is_what_simulation_finds(road):
     state = np.array([0.8, -0.5, 0.6, -0.9])
     lanes = 200_000
     plant = Plant(task, lanes)
-    everyone = np.ones(lanes, np.bool_)
     value, mean_cost = value_form(plant_system(task, 0.3, 1.3, 0.2), WEIGHTS)
     found = []
     for damping in (0.05, 0.9):
-        plant.seed(np.arange(lanes, dtype=np.uint64), everyone)  # the same noise for both
-        plant.reset(plant.forced({}), everyone)
-        for offset, number in zip((DISPLACEMENT, VELOCITY, LEVEL, SLOPE), state.tolist(), strict=True):
-            plant.set_row(offset, number)
-        _, results, _, _ = plant.step(np.full(lanes, damping, np.float32))
-        after = np.stack([plant.row(offset) for offset in (DISPLACEMENT, VELOCITY, LEVEL, SLOPE)], axis=1).astype(float)
-        total = -results[0].astype(float) * task.control_interval + np.einsum("ni,ij,nj->n", after, value, after)
+        plant.start(np.arange(lanes, dtype=np.uint64))  # the same noise for both
+        for name, number in zip(STATE, state.tolist(), strict=True):
+            plant.set_row(name, number)
+        interval = plant.step(np.full(lanes, damping, np.float32))
+        after = np.stack([plant.row(name) for name in STATE], axis=1).astype(float)
+        total = -interval.reward.astype(float) * task.control_interval + np.einsum("ni,ij,nj->n", after, value, after)
         found.append(total - state @ value @ state - mean_cost * task.control_interval)
     forms, constants = advantage_forms(task, [0.05, 0.9], [0.3], [1.3], [0.2])
     expected = np.einsum("i,kij,j->k", state, forms[0], state) + constants[0]

@@ -10,7 +10,6 @@ import pytest
 import analysis
 from analysis import feedback
 from analysis.feedback import OptimalFeedback, optimal_feedback
-from roadgym.kernel import REWARD
 from roadgym.parameters import ParameterError
 from roadgym.plant import Plant
 from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad
@@ -30,14 +29,13 @@ def found() -> OptimalFeedback:
 def drive(rule: Callable[[np.ndarray], np.ndarray], lanes: int = 1024) -> tuple[float, float]:
     """Cost and standard error of a rule D(observation) on the plant of `found`, over noise of its own."""
     plant = Plant(make_task(road=ROAD, speed=SPEED, damping_range=BOUNDS), lanes)
-    everyone = np.ones(lanes, np.bool_)
-    plant.seed(np.arange(lanes, dtype=np.uint64), everyone)
-    observations, _ = plant.reset(plant.forced({}), everyone)
+    observations = plant.start(np.arange(lanes, dtype=np.uint64)).observations
     skipped, steps, total = 250, 700, np.zeros(lanes)
     for step in range(skipped + steps):
-        observations, results, _, _ = plant.step(rule(observations).astype(np.float32))
+        interval = plant.step(rule(observations).astype(np.float32))
+        observations = interval.observations
         if step >= skipped:
-            total -= results[REWARD] / steps
+            total -= interval.reward / steps
     return total.mean(), total.std(ddof=1) / math.sqrt(lanes)
 
 

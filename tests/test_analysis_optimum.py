@@ -1,4 +1,3 @@
-import dataclasses
 import math
 
 import numpy as np
@@ -8,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 import analysis
-from roadgym.car import MEAN_SQUARES
+from roadgym.cars import MEAN_SQUARES
 from roadgym.parameters import ParameterError
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, WhiteSpeedNoise
 
 
 def cost(road, noise, weights, damping, **arguments) -> np.ndarray:
-    result = dataclasses.asdict(analysis.mean_squares(road, noise, damping=damping, **arguments))
+    result = dict(analysis.mean_squares(road, noise, damping=damping, **arguments))
     return sum(weight * result[name] for name, weight in weights.items()) / road.variance
 
 

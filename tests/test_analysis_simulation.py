@@ -9,7 +9,7 @@ import analysis
 from analysis.driven import drive_together
 from analysis.paper.euler_maruyama import FORMS, Estimate, simulate
 from analysis.paper.exponents import simulate_stability
-from roadgym.car import MEAN_SQUARES
+from roadgym.cars import MEAN_SQUARES, QuarterCar
 from roadgym.parameters import ParameterError
 from roadgym.reward import divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad
@@ -39,7 +39,7 @@ def test_driven_plants_against_closed_forms(road) -> None:
     theory = analysis.mean_squares(road, damping=dampings, speed=1.3, natural_frequency=1.2)
     for k, name in enumerate(MEAN_SQUARES):
         expected = getattr(theory, name)
-        if name in divergent_terms(road, None):
+        if name in divergent_terms(QuarterCar(), road, None):
             assert np.all(np.isinf(figures[k]))
             continue
         error = figures[k].std(axis=1, ddof=1) / math.sqrt(2048)
@@ -81,7 +81,7 @@ def test_low_pass_noise_on_random_roads(road) -> None:
     for name in MEAN_SQUARES:
         value, error = getattr(found, name), getattr(found.standard_error, name)
         assert isinstance(value, np.float64)
-        if name in divergent_terms(road, noise):
+        if name in divergent_terms(QuarterCar(), road, noise):
             assert (value, error) == (math.inf, 0)
         else:
             assert 0 < error <= limit * value
@@ -149,7 +149,7 @@ def test_speed_noise_from_the_original_equations(noise) -> None:
     assert distance(found.second.without_bias, -mean.imag) < CHANCE
     assert distance(found.amplitude.without_bias, abs(mean)) < CHANCE
     assert found.amplitude.standard_error < 0.02 * abs(mean)
-    squares_agree(found, analysis.mean_squares(road, noise, speed=0.6, **settings), divergent_terms(road, noise))
+    squares_agree(found, analysis.mean_squares(road, noise, speed=0.6, **settings), divergent_terms(QuarterCar(), road, noise))
 
 
 def test_without_noise_the_bias_is_all_there_is() -> None:
@@ -174,7 +174,7 @@ def test_random_roads_from_the_original_equations(road, noise) -> None:
     if road.has_slope:
         assert distance(found.second_square.without_bias, road.variance) < CHANCE
     # the drift of the speed is too weak to be seen here
-    squares_agree(found, analysis.mean_squares(road, speed=1.2, **settings), divergent_terms(road, noise))
+    squares_agree(found, analysis.mean_squares(road, speed=1.2, **settings), divergent_terms(QuarterCar(), road, noise))
 
 
 def discrete_moments(form: str, damping: float, ratio: float, strength: float, step: float) -> tuple[np.ndarray, np.ndarray]:

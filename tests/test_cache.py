@@ -14,15 +14,17 @@ import pytest
 
 import roadgym
 from agents.cli import main
-from roadgym import cache
+from roadgym import cache, kernel
 
 PACKAGE = Path(roadgym.__file__).parent
-# make_scratch and its constants are in kernel.py, they are computed from a constant of compiled.py
+# signal_row is in signals.py, it is computed from a constant of compiled.py
 SCRATCH = """
 import numpy as np, roadgym
-from roadgym import kernel
+from roadgym import record, signals
 assert roadgym.__file__.startswith({0!r}), roadgym.__file__
-print(len(kernel.make_scratch(np.zeros(1), np.ones(20))), len(kernel.make_scratch.stats.cache_hits))
+plant = np.zeros(1, record.PLANT)
+plant["signals"] = 20
+print(signals.signal_row(plant[0]), len(signals.signal_row.stats.cache_hits))
 """
 
 
@@ -34,7 +36,7 @@ def copy(tmp_path):
 
 
 def run(copy, **environment):
-    """(size of a scratch, signatures found in the cache, what is said) in a process of its own."""
+    """(where a row is, signatures found in the cache, what is said) in a process of its own."""
     known = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     done = subprocess.run(
         [sys.executable, "-c", SCRATCH.format(str(copy))],
@@ -51,7 +53,7 @@ def run(copy, **environment):
 
 def test_edit_of_another_module_is_compiled_anew(copy, tmp_path):
     kept = {"XDG_CACHE_HOME": str(tmp_path / "kept")}
-    assert run(copy, **kept) == (20 * 64, 0, "compiling the plant, once: up to half a minute\n")
+    assert run(copy, **kept) == (20 * 64, 0, "")
     assert run(copy, **kept) == (20 * 64, 1, "")
     source = copy / "roadgym" / "compiled.py"
     source.write_text(source.read_text(encoding="utf-8").replace("LANES = 64", "LANES = 32"), encoding="utf-8")
@@ -60,8 +62,16 @@ def test_edit_of_another_module_is_compiled_anew(copy, tmp_path):
     assert len(list((tmp_path / "kept" / "roadgym" / "compiled").iterdir())) == 2
 
 
+def test_compiling_the_kernel_is_told_once(place, monkeypatch, caplog):
+    monkeypatch.setattr(cache, "_told", False)
+    for _ in range(2):
+        code = cache.CodeCache(kernel.step_blocks.py_func)
+        assert code.load_overload("a signature", kernel.step_blocks.targetctx) is None
+    assert caplog.messages == ["compiling the plant, once: up to half a minute"]
+
+
 def test_works_where_nothing_can_be_written(copy):
-    for folder in (copy / "roadgym", copy / "roadgym" / "roads"):
+    for folder in (copy / "roadgym", copy / "roadgym" / "roads", copy / "roadgym" / "cars"):
         (folder / "__pycache__").write_text("no folder, so that nobody can write there")
     size, hits, said = run(copy, HOME="/dev/null/x", LOCALAPPDATA="/dev/null/x")
     assert (size, hits) == (20 * 64, 0)

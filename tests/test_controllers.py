@@ -16,7 +16,6 @@ from agents.controllers import (
 from agents.evaluation import evaluate
 from agents.features import Features
 from roadgym import ParameterError
-from roadgym import compiled as rows
 from roadgym.plant import Plant
 from roadgym.task import make_task
 
@@ -101,15 +100,13 @@ def test_lookahead_weighs_one_interval_and_what_follows():
     costs = []
     for k in (0, len(dampings) - 1):
         plant = Plant(make_task(road=road, speed=ratio, precision="float64", substeps=8), lanes)
-        everyone = np.ones(lanes, np.bool_)
-        plant.seed(np.arange(lanes, dtype=np.uint64), everyone)
-        plant.reset(plant.forced({}), everyone)
-        for row, value in zip((rows.DISPLACEMENT, rows.VELOCITY, rows.LEVEL, rows.SLOPE), state, strict=True):
+        plant.start(np.arange(lanes, dtype=np.uint64))
+        for row, value in zip(("displacement", "velocity", "level", "slope"), state, strict=True):
             plant.set_row(row, value)
         total = np.zeros(lanes)
         for step in range(steps):
             damping = dampings[k] if step == 0 else best.damping
-            total += 0.2 * (plant.step(np.full(lanes, damping, np.float32))[1][1] - best.cost)
+            total += 0.2 * (plant.step(np.full(lanes, damping, np.float32)).mean_squares[0] - best.cost)
         costs.append(total)
     simulated = costs[1] - costs[0]
     predicted = np.einsum("i,kij,j->k", state, forms, state) + constants

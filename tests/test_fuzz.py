@@ -29,15 +29,14 @@ from agents.vec_env import QuarterCarVecEnv, Sight, damping_from_action
 from analysis import explorer
 from analysis.certification import autocovariance
 from analysis.paper import figures as paper_figures
-from roadgym import MEAN_SQUARES, ROADS, SPEED_NOISES, HarmonicRoad, ParameterError
+from roadgym import MEAN_SQUARES, ROADS, SPEED_NOISES, HarmonicRoad, ParameterError, QuarterCar
 from roadgym.compiled import LaneFunction
 from roadgym.env import QuarterCarEnv
-from roadgym.kernel import SIGNALS
 from roadgym.parameters import RANGES
 from roadgym.plant import Plant
 from roadgym.roads import make_road
 from roadgym.speed import make_speed_noise
-from roadgym.task import make_task
+from roadgym.task import make_task, signals
 from roadgym.vector import QuarterCarVectorEnv
 
 CALLS = int(os.environ.get("ROADGYM_FUZZ_CALLS", "2000"))
@@ -222,7 +221,7 @@ TASK = {
     "bandwidth": lambda rng: a_range(rng) if rng.integers(2) else None,
     "damping_range": lambda rng: (0.05, 1.0) if rng.integers(2) else a_range(rng),
     "reward": lambda rng: {str(name): a_number(rng) for name in rng.choice(MEAN_SQUARES, 2)} if rng.integers(2) else junk(rng),
-    "observation": lambda rng: list(map(str, rng.choice(SIGNALS, 3))) if rng.integers(2) else junk(rng),
+    "observation": lambda rng: list(map(str, rng.choice(signals(QuarterCar()), 3))) if rng.integers(2) else junk(rng),
     "observe_operating_point": lambda rng: bool(rng.integers(2)) if rng.integers(2) else junk(rng),
     "natural_frequency": a_number,
     "control_interval": a_number,
@@ -282,7 +281,7 @@ def check_observations(space, observations):
 
 
 def check_info(task, info):
-    divergent = roadgym.reward.divergent_terms(task.road, task.speed_noise)
+    divergent = roadgym.reward.divergent_terms(task.car, task.road, task.speed_noise)
     for name in MEAN_SQUARES:
         values = np.asarray(info[name])
         # zero in the step that is a reset
@@ -636,8 +635,7 @@ def call_own_road(rng):
     task = make_task(road=road)
     if task.substeps * max(road.words_per_substep, 1) < 10_000:
         plant = Plant(task, 1)
-        plant.seed(np.zeros(1, np.uint64), np.ones(1, bool))
-        check_observations(task.observation_space, plant.reset(plant.forced({}), np.ones(1, bool))[0])
+        check_observations(task.observation_space, plant.start(np.zeros(1, np.uint64)).observations)
 
 
 def call_agents(rng):

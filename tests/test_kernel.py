@@ -5,18 +5,16 @@ import pytest
 from scipy.linalg import expm
 
 import roadgym
-from roadgym import compiled as rows
-from roadgym.kernel import COUNTERS, STEP, interval_weights
+from roadgym.compiled import LANES
 from roadgym.parameters import PlantError
 from roadgym.plant import Plant
+from roadgym.record import COUNTERS, STEP, interval_weights
 from roadgym.task import make_task
 
 
 def started_plant(number, seed=0, **parameters):
     plant = Plant(make_task(**parameters), number, threads=1)
-    everyone = np.ones(number, np.bool_)
-    plant.seed(np.arange(seed, seed + number, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(seed, seed + number, dtype=np.uint64))
     return plant
 
 
@@ -33,11 +31,11 @@ def test_mean_squares_are_those_of_the_integral_where_the_damping_switches(speed
     """Without noise the answer is known: the harmonic road and the car are one linear system between two switches."""
     interval, steps = 0.2, 40
     plant = started_plant(1, road="harmonic", speed=speed, precision="float64", control_interval=interval)
-    signals = np.array([row[0] for row in (plant.row(offset) for offset in (9 * 64, 10 * 64, 6 * 64, 7 * 64))])
+    signals = np.array([row[0] for row in (plant.row(name) for name in ("displacement", "velocity", "level", "slope"))])
     measured, exact = np.zeros(5), np.zeros(5)
     for step in range(steps):
         damping = float(np.float32(1.0 if step % 2 else 0.05))
-        measured += plant.step(np.array([damping], np.float32))[1][1:6, 0]
+        measured += plant.step(np.array([damping], np.float32)).mean_squares[:, 0]
         drift = np.array([[0, 1, 0, 0], [-1, -2 * damping, 1, 2 * damping * speed], [0, 0, 0, speed], [0, 0, -speed, 0]])
         relative, travel = np.array([0, 1, 0, -speed]), np.array([1, 0, -1, 0])
         outputs = np.stack([[1, 0, 0, 0], [0, 1, 0, 0], 2 * damping * relative + travel, travel, relative])
@@ -82,11 +80,11 @@ def test_moments_of_second_and_fourth_degree_relax_as_they_should(shape):
     road = roadgym.MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth)
     plant = started_plant(number, road=road, speed=1.0, control_interval=0.2)
     start = np.array([0.6, -0.8]) * np.sqrt(2 * (shape + 1) * 0.8)
-    plant.set_row(rows.LEVEL, start[0])
-    plant.set_row(rows.SLOPE, start[1])
+    plant.set_row("level", start[0])
+    plant.set_row("slope", start[1])
     for _ in range(round(time / 0.2)):
         plant.step(np.full(number, 0.5, np.float32))
-    z, u = plant.row(rows.LEVEL).astype(float), plant.row(rows.SLOPE).astype(float)
+    z, u = plant.row("level").astype(float), plant.row("slope").astype(float)
     for found, exact in zip((z * z, z * u, u * u, z**4, u**4), polynomial_moments(start, time, bandwidth, shape), strict=True):
         assert abs(found.mean() - exact) < 4.5 * found.std() / np.sqrt(number)
 
@@ -95,7 +93,7 @@ def test_lanes_that_fill_the_block_meet_new_noise_at_every_step():
     plant = started_plant(3)
     for _ in range(5):
         plant.step(np.full(3, 0.3, np.float32))
-    assert set(plant._counters.reshape(-1, COUNTERS)[0, STEP : STEP + rows.LANES].tolist()) == {5}
+    assert set(plant._counters.reshape(-1, COUNTERS)[0, STEP : STEP + LANES].tolist()) == {5}
 
 
 def test_a_car_that_noise_stops_drives_on():
@@ -103,23 +101,21 @@ def test_a_car_that_noise_stops_drives_on():
     noise = roadgym.LowPassSpeedNoise(intensity=3.0)
     plant = started_plant(4, road=roadgym.MultiplicativeRoad.from_shape(shape=0.3), speed_noise=noise, speed=0.3)
     for _ in range(30):
-        observations, *_ = plant.step(np.full(4, 0.3, np.float32))
-    assert np.isfinite(observations).all()
+        interval = plant.step(np.full(4, 0.3, np.float32))
+    assert np.isfinite(interval.observations).all()
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("row", [rows.DISPLACEMENT, rows.VELOCITY, rows.LEVEL, rows.SLOPE])
+@pytest.mark.parametrize("row", ["displacement", "velocity", "level", "slope"])
 @pytest.mark.parametrize("unsound", [np.nan, np.inf])
 def test_what_is_not_finite_raises_and_a_reset_heals(threads, row, unsound):
     number = 64 * 64 if threads > 1 else 70
     plant = Plant(make_task(road="gaussian"), number, threads=threads)
-    everyone = np.ones(number, np.bool_)
-    plant.seed(np.arange(number, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(number, dtype=np.uint64))
     values = plant.row(row)
     values[67] = unsound
     plant.set_row(row, values)
     with pytest.raises(PlantError, match=f"environment 67 of {number} "):
         plant.step(np.full(number, 0.3, np.float32))
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(number, dtype=np.uint64))
     plant.step(np.full(number, 0.3, np.float32))

@@ -9,7 +9,6 @@ from scipy.integrate import quad
 import analysis
 from analysis.quadratic import advantage_forms, interval_mean, periodic_mean_squares, plant_system, value_form
 from roadgym import MEAN_SQUARES, ROADS, ParameterError, QuarterCar
-from roadgym import compiled as rows
 from roadgym.linear import LinearSystem
 from roadgym.plant import Plant
 from roadgym.roads import make_road
@@ -61,24 +60,22 @@ def test_kernel_moves_the_state_as_the_matrices_do(name):
     task = make_task(road=name, speed=1.3, damping_range=(0.05, 0.7), precision="float64")
     bandwidth = task.bandwidth[0]
     system = plant_system(task, float(np.float32(0.7)), 1.3, bandwidth)
-    kept = (rows.DISPLACEMENT, rows.VELOCITY, *task.road.state_rows)
+    kept = ("displacement", "velocity", *task.road.state_rows)
     start = np.array([0.8, -0.5, 0.7, -0.4, 0.3, -0.2])[: len(system.states)]
     plant = Plant(task, lanes)
-    everyone = np.ones(lanes, np.bool_)
-    plant.seed(np.arange(lanes, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(lanes, dtype=np.uint64))
     for row, value in zip(kept, start, strict=True):
         plant.set_row(row, value)
     if name == "two_corner":  # its level is a sum of its states
-        plant.set_row(rows.LEVEL, task.road.shaping_filter().level @ start[2:])
+        plant.set_row("level", task.road.shaping_filter().level @ start[2:])
     if name == "harmonic":  # which lives on a circle, to which its kernel returns it
         start[2:] *= np.sqrt(2) / np.hypot(*start[2:])
-        plant.set_row(rows.LEVEL, start[2])
-        plant.set_row(rows.SLOPE, start[3])
+        plant.set_row("level", start[2])
+        plant.set_row("slope", start[3])
     for _ in range(steps):
         plant.step(np.full(lanes, 0.7, np.float32))
     time = steps * task.control_interval
-    states = np.stack([plant.row(row) for row in kept], axis=1).astype(float)
+    states = np.concatenate([plant.car_states, plant.road_states]).T.astype(float)
     size = len(start)
     backward, _ = interval_mean(system, np.zeros((size, size)), time)
     mean = system.transition(time) @ start

@@ -10,10 +10,10 @@ from agents.cli import environment_from, main, make_parser
 from agents.training import load_hyperparameters
 from agents.vec_env import QuarterCarVecEnv, Sight
 from roadgym import ParameterError
-from roadgym.kernel import SIGNALS
-from roadgym.task import make_task
+from roadgym.task import make_task, signals
 from roadgym.vector import QuarterCarVectorEnv
 
+SIGNALS = signals(roadgym.QuarterCar())
 PLANT = {"road": "multiplicative", "speed": [0.7, 2.0], "bandwidth": [0.1, 0.3]}
 HIDDEN = PLANT | {"observation": ["travel", "velocity"], "observe_operating_point": False}
 SMALL = {"n_envs": 4, "n_timesteps": 128, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "features": ["signals"]}

@@ -11,10 +11,9 @@ from test_speed import exact_mean_squares, finite_terms, scheme_mean_squares
 
 import analysis
 import roadgym
-from roadgym import MEAN_SQUARES, SPEED_NOISES, GaussianRoad, HarmonicRoad, ParameterError, kernel
+from roadgym import MEAN_SQUARES, SPEED_NOISES, GaussianRoad, ParameterError, kernel
 from roadgym.compiled import LaneFunction
 from roadgym.env import QuarterCarEnv
-from roadgym.rendering import History
 from roadgym.task import make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -150,7 +149,7 @@ def test_rounding_of_a_slow_harmonic_road():
     for _ in range(2400):  # the start at rest is forgotten to e^-48
         plant.step(actions)
     periods = round(4 * 2 * math.pi / 0.05 / 0.2)
-    squares = sum(plant.step(actions)[1][1:6].astype(float) for _ in range(periods)).mean(axis=1) / periods
+    squares = sum(plant.step(actions).mean_squares.astype(float) for _ in range(periods)).mean(axis=1) / periods
     exact = exact_mean_squares("harmonic", None, damping=float(actions[0]), speed=0.05)
     assert np.all(np.abs(squares / exact - 1) < 2e-4)
 
@@ -262,15 +261,3 @@ def test_what_is_read_beyond_a_table_is_not_a_number():
     env = QuarterCarEnv(road=own_road(start=start_beyond, table=lambda self: np.ones(3)))
     with pytest.raises(roadgym.PlantError, match="environment 0 of 1"):
         env.reset(seed=0)
-
-
-# ---------------------------------------------------------------------- pictures
-
-
-def test_a_picture_drives_no_substep_twice(monkeypatch):
-    history = History(started_plant(1, road=HarmonicRoad(), speed_noise="low_pass", substeps=50))
-    driven = []
-    drive = kernel.drive_interval
-    monkeypatch.setattr(kernel, "drive_interval", lambda *given: (driven.append(given[6][kernel.SUBSTEPS]), drive(*given)))
-    history.step(np.full(1, 0.3, np.float32))
-    assert sum(driven) == 50

@@ -22,13 +22,11 @@ from roadgym.task import make_task
 # the response to two waves is the sum of the responses (3) to each, and the environment pays just that
 task = make_task(road="two_frequency", speed=1.2)
 plant = Plant(task, 4096)
-everyone = np.ones(4096, np.bool_)
-plant.seed(np.arange(4096, dtype=np.uint64), everyone)
-plant.reset(plant.forced({}), everyone)
+plant.start(np.arange(4096, dtype=np.uint64))
 action = np.full(4096, 0.3, np.float32)
 for _ in range(200):
     plant.step(action)
-cost = sum(plant.step(action)[1][1].astype(float) for _ in range(400)) / 400
+cost = sum(plant.step(action).mean_squares[0].astype(float) for _ in range(400)) / 400
 
 def gain(nu):
     return (1 + (0.6 * nu) ** 2) / ((1 - nu**2) ** 2 + (0.6 * nu) ** 2)

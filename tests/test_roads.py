@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 from roadgym import ROADS, GaussianRoad, HarmonicRoad, MultiplicativeRoad, ParameterError
-from roadgym import compiled as rows
 from roadgym.plant import Plant
 from roadgym.roads import make_road
 from roadgym.roads.multiplicative import CELLS, direction_quantiles
@@ -19,16 +18,14 @@ LANES = 1_000_000
 def road_lanes(road, *, number=LANES, level, slope, time, speed=1.0, **parameters):
     """Level and slope, in standard deviations, of lanes that all start at one point, and the largest square radius."""
     plant = Plant(make_task(road=road, speed=speed, **parameters), number)
-    everyone = np.ones(number, np.bool_)
-    plant.seed(np.arange(number, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
-    plant.set_row(rows.LEVEL, level)
-    plant.set_row(rows.SLOPE, slope)
+    plant.start(np.arange(number, dtype=np.uint64))
+    plant.set_row("level", level)
+    plant.set_row("slope", slope)
     actions = np.full(number, 0.5, np.float32)
     largest = 0.0
     for _ in range(round(time / plant.task.control_interval)):
         plant.step(actions)
-        z, u = plant.row(rows.LEVEL).astype(float), plant.row(rows.SLOPE).astype(float)
+        z, u = plant.row("level").astype(float), plant.row("slope").astype(float)
         largest = max(largest, float(np.max(z**2 + u**2)))
     return z, u, largest
 
@@ -58,10 +55,8 @@ def test_bounded_road_has_its_radial_law_and_stays_in_its_circle(shape):
 def test_bounded_road_starts_in_its_radial_law(shape):
     road = MultiplicativeRoad.from_shape(shape=shape)
     plant = Plant(make_task(road=road), 300_000)
-    everyone = np.ones(300_000, np.bool_)
-    plant.seed(np.arange(300_000, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
-    z, u = plant.row(rows.LEVEL).astype(float), plant.row(rows.SLOPE).astype(float)
+    plant.start(np.arange(300_000, dtype=np.uint64))
+    z, u = plant.row("level").astype(float), plant.row("slope").astype(float)
     assert np.max(z**2 + u**2) <= 2 * (shape + 1)
     assert radial_test(z, u, shape).pvalue > 1e-3
 
@@ -142,15 +137,13 @@ def test_table_of_directions_has_the_second_moment_of_its_law(shape):
 def test_every_road_starts_in_its_law_and_keeps_it_at_any_speed(name, speed):
     number = 200_000
     plant = Plant(make_task(road=name, speed=speed), number)
-    everyone = np.ones(number, np.bool_)
-    plant.seed(np.arange(number, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(number, dtype=np.uint64))
     law = {
         "harmonic": stats.arcsine(-np.sqrt(2), 2 * np.sqrt(2)),
         "multiplicative": stats.beta(2.5, 2.5, -np.sqrt(6), 2 * np.sqrt(6)),  # (1 - z^2/r0^2)^(alpha - 1/2), alpha = 2
     }.get(name, stats.norm())  # all others are Gaussian
     for _ in range(2):
-        z = plant.row(rows.LEVEL).astype(float)
+        z = plant.row("level").astype(float)
         assert stats.kstest(z, law.cdf).pvalue > 1e-3
         for _ in range(10):
             plant.step(np.full(number, 0.5, np.float32))
@@ -166,16 +159,14 @@ def test_second_order_roads_have_the_exact_autocovariance(shape):
         road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth, level_bound=1.0)
         number = number if shape >= 0.5 else number // 4
     plant = Plant(make_task(road=road, speed=1.0, control_interval=0.3, substeps=1), number)
-    everyone = np.ones(number, np.bool_)
-    plant.seed(np.arange(number, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
-    z0 = plant.row(rows.LEVEL).astype(float)
+    plant.start(np.arange(number, dtype=np.uint64))
+    z0 = plant.row("level").astype(float)
     frequency = np.sqrt(1 - bandwidth**2)
     for lag in range(1, 6):
         plant.step(np.full(number, 0.5, np.float32))
         angle = 0.3 * lag
         exact = np.exp(-bandwidth * angle) * (np.cos(frequency * angle) + bandwidth / frequency * np.sin(frequency * angle))
-        products = z0 * plant.row(rows.LEVEL).astype(float)
+        products = z0 * plant.row("level").astype(float)
         assert abs(products.mean() - exact) < 4.5 * products.std() / np.sqrt(number)
 
 

@@ -28,11 +28,10 @@ from roadgym import (
     MultiplicativeRoad,
     ParameterError,
     WhiteSpeedNoise,
-    kernel,
 )
 from roadgym import compiled as rows
 from roadgym import speed as speed_module
-from roadgym.car import free_decay
+from roadgym.cars import one_mass
 from roadgym.compiled import LANES
 from roadgym.plant import Plant
 from roadgym.roads import first_order, gaussian
@@ -44,9 +43,7 @@ HARMONIC = HarmonicRoad()
 
 def started_plant(number, **parameters):
     plant = Plant(make_task(**parameters), number)
-    everyone = np.ones(number, np.bool_)
-    plant.seed(np.arange(number, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(number, dtype=np.uint64))
     return plant
 
 
@@ -114,11 +111,11 @@ def test_driven_phase_has_its_law(name):
     number, intervals = 50_000, 25
     noise = SPEED_NOISES[name](intensity=0.3)
     plant = started_plant(number, road="harmonic", speed_noise=noise, speed=1.0, precision="float64")
-    first = np.arctan2(-plant.row(rows.SLOPE), plant.row(rows.LEVEL))
+    first = np.arctan2(-plant.row("slope"), plant.row("level"))
     for _ in range(intervals):
         plant.step(np.full(number, 0.5, np.float32))
     time = intervals * plant.task.control_interval
-    last = np.arctan2(-plant.row(rows.SLOPE), plant.row(rows.LEVEL))
+    last = np.arctan2(-plant.row("slope"), plant.row("level"))
     turned = (last - first - time + math.pi) % (2 * math.pi) - math.pi
     assert stats.kstest(turned, stats.norm(scale=math.sqrt(phase_variance(noise, time))).cdf).pvalue > 1e-3
 
@@ -193,15 +190,14 @@ def one_substep(task, damping, state, road_normals, speed_normals):
         return Vectors(np.concatenate([normal.reshape(LANES, columns) for normal in normals]))
 
     everything = {rows.SPEED: ratio, rows.RATE: ratio, rows.BANDWIDTH: task.bandwidth[0], rows.TURN: ratio * interval, **state}
+    cars = [everything.pop(name) for name in ("displacement", "velocity")]
     for row, values in everything.items():
         block[row : row + LANES] = np.broadcast_to(values, LANES * columns).reshape(LANES, columns)
-    scratch = np.zeros((kernel.SCRATCH, columns))
-    scratch[kernel.CONSTANT : kernel.CONSTANT + 2] = np.array([[interval], [1 / interval]])
-    decay = free_decay(damping, interval, np.zeros(1))
-    for row, value in zip((kernel.DECAY_11, kernel.DECAY_12, kernel.DECAY_22), decay, strict=True):
-        scratch[row : row + LANES] = value
-    scratch[kernel.DAMPING : kernel.DAMPING + LANES] = damping
-    scratch[kernel.PREVIOUS_LEVEL : kernel.PREVIOUS_LEVEL + LANES] = block[rows.LEVEL : rows.LEVEL + LANES]
+    states = np.array(cars).reshape(2 * LANES, columns)
+    work = np.zeros((one_mass.DECAY_22 + LANES, columns))
+    work[[rows.SUBSTEP, rows.INVERSE_SUBSTEP]] = np.array([[interval], [1 / interval]])
+    work[rows.DAMPING : rows.DAMPING + LANES] = damping
+    one_mass.prepare.function(Vectors(block), Vectors(states), Vectors(work), None)
     with given_normals():
         if noise is not None:
             table = noise.table(interval, task.car.natural_frequency, road)
@@ -212,8 +208,8 @@ def one_substep(task, damping, state, road_normals, speed_normals):
                 road.prepare.function(lane, None, road.table())
                 block[i:, column] = lane
         road.advance.function(Vectors(block), words(road_normals), road.table())
-    kernel.follow_road.function(Vectors(block), None, Vectors(scratch))
-    return block.reshape(size // LANES, -1)
+    one_mass.advance.function(Vectors(block), Vectors(states), Vectors(work), None)
+    return block.reshape(size // LANES, -1), states.reshape(2, -1)
 
 
 def scheme_mean_squares(road, noise, *, damping, speed, interval, modes=24, outer=40, inner=6):
@@ -244,13 +240,13 @@ def scheme_mean_squares(road, noise, *, damping, speed, interval, modes=24, oute
         return np.concatenate([np.tile(values, 6), np.zeros(padding)])
 
     y, x, z, u, *road_normals = (np.concatenate([np.repeat(unit, psi.size), np.zeros(padding)]) for unit in units)
-    state = {rows.DISPLACEMENT: y, rows.VELOCITY: x, rows.LEVEL: z, rows.SLOPE: u, rows.SPEED_STATE: repeat(spread * psi)}
-    block = one_substep(task, damping, state, road_normals, [*map(repeat, normals), np.zeros(z.size)])
+    state = {"displacement": y, "velocity": x, rows.LEVEL: z, rows.SLOPE: u, rows.SPEED_STATE: repeat(spread * psi)}
+    block, cars = one_substep(task, damping, state, road_normals, [*map(repeat, normals), np.zeros(z.size)])
 
     def answers(row):
-        return block[row // LANES, : 6 * psi.size].reshape(6, psi.size)
+        return row[: 6 * psi.size].reshape(6, psi.size)
 
-    answer = np.stack([answers(row) for row in (rows.DISPLACEMENT, rows.VELOCITY, rows.LEVEL, rows.SLOPE)])
+    answer = np.stack([answers(row) for row in (*cars, block[rows.LEVEL // LANES], block[rows.SLOPE // LANES])])
     answer /= np.diag(units)[:, None]
     assert np.ptp(answer[:2, :2], axis=-1).max() < 1e-13  # the car's own map does not depend on the noise
     c, g, h, m, n = answer[:2, :2, 0], answer[:2, 2:4], answer[:2, 4:], answer[2:, 2:4], answer[2:, 4:]
@@ -263,7 +259,7 @@ def scheme_mean_squares(road, noise, *, damping, speed, interval, modes=24, oute
         return np.stack(result[:modes])
 
     before = weights * hermite(psi)
-    after = weights * hermite(answers(rows.SPEED_STATE)[0] / spread) if spread else before
+    after = weights * hermite(answers(block[rows.SPEED_STATE // LANES])[0] / spread) if spread else before
     carried = np.einsum("ap,ijp,bp->abij", after, m, before / weights, optimize=True)
     forced = np.einsum("ikp,kl,jlp->ijp", g, known, m) + np.einsum("ikp,jkp->ijp", h, n)
     system = np.einsum("ik,abjl->aijbkl", c, carried).reshape(4 * modes, 4 * modes)
@@ -351,10 +347,10 @@ def test_car_on_a_bounded_road_follows_it_as_on_the_gaussian_road(shape, noise):
         plant = started_plant(
             LANES, road=road, speed_noise=noise, speed=1.3, control_interval=interval, substeps=1, precision="float64"
         )
-        old_z, old_u = plant.row(rows.LEVEL), plant.row(rows.SLOPE)
+        old_z, old_u = plant.row("level"), plant.row("slope")
         plant.step(np.full(LANES, damping))
-        ends = np.stack([old_z, plant.row(rows.LEVEL), plant.row(rows.TURN) * (plant.row(rows.SLOPE) - old_u)], axis=1)
-        car = np.stack([plant.row(rows.DISPLACEMENT), plant.row(rows.VELOCITY)], axis=1)
+        ends = np.stack([old_z, plant.row("level"), plant.row(rows.TURN) * (plant.row("slope") - old_u)], axis=1)
+        car = np.stack([plant.row("displacement"), plant.row("velocity")], axis=1)
         maps[road.kind], residual, rank, _ = np.linalg.lstsq(ends, car, rcond=None)
         assert rank == 3
         assert np.all(residual < 1e-20)  # the car, at rest before, depends on nothing else
@@ -372,7 +368,7 @@ def driven_mean_squares(plant, damping, settle, measure, terms):
         plant.step(actions)
     total = np.zeros((len(terms), plant.num_envs))
     for _ in range(round(measure / interval)):
-        total += plant.step(actions)[1][[kernel.RESULT_SQUARE + term for term in terms]]
+        total += plant.step(actions).mean_squares[list(terms)]
     total /= round(measure / interval)
     return total.mean(axis=1), total.std(axis=1, ddof=1) / math.sqrt(plant.num_envs)
 

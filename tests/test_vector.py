@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as wrappers
+from packaging.version import Version
 from plants import EVERY_PLANT, plant_name
 
 import analysis
@@ -55,7 +56,7 @@ def test_environment_i_equals_the_single_one_with_seed_plus_i(plant):
 def test_results_do_not_depend_on_batch_size_or_threads():
     small, large = QuarterCarVectorEnv(5, **RANGES), QuarterCarVectorEnv(5000, threads=1, **RANGES)
     threaded = QuarterCarVectorEnv(5000, threads=2, **RANGES)
-    assert threaded._plant.threads == 2
+    assert threaded.plant.threads == 2
     for envs in (small, large, threaded):
         envs.reset(seed=7)
     for action in actions_for(5000, 5):
@@ -72,7 +73,7 @@ def test_one_pool_serves_every_number_of_threads():
     before = count()
     for threads in range(2, 13):
         envs = QuarterCarVectorEnv(12 * 32 * 64, threads=threads)
-        assert envs._plant.threads == threads
+        assert envs.plant.threads == threads
         envs.reset(seed=0)
     assert count() <= max(before, 11)
 
@@ -207,6 +208,7 @@ def test_gymnasiums_own_vector_environments_agree(context):
             other.close()
 
 
+@pytest.mark.skipif(Version(gymnasium.__version__) < Version("1.2.2"), reason="its DictInfoToList fails, on CartPole too")
 def test_vector_wrappers_work():
     envs = gymnasium.make_vec(ID, num_envs=4, max_episode_steps=5, **RANGES)
     envs = wrappers.RecordEpisodeStatistics(envs)

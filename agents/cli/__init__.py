@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from roadgym import ParameterError, PlantError
+from roadgym.installation import InstallationError
 
 from ..errors import AgentError
 from .commands import DESCRIPTION
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with _stopped_by_signals():
             code: int | None = chosen.run(chosen)
         print(end="", flush=True)
-    except (ParameterError, PlantError, AgentError) as error:
+    except (ParameterError, PlantError, AgentError, InstallationError) as error:
         return _fault(chosen.command, str(error))
     except MemoryError:
         return _fault(chosen.command, "this takes more memory than there is")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from roadgym import ParameterError
+from roadgym.installation import require
 
 from .options import environment_from, given_environment, refuse, refuse_environment, refuse_observation
 
@@ -188,6 +189,8 @@ def run_compare(chosen: argparse.Namespace) -> None:
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)
+    for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
+        require(package, extra)  # before the work
     folder = make_folder(_results_folder(chosen, kinds))
     steps = len(seeds) + 2
     with locked(folder / LOCK, "comparison"):
@@ -328,6 +331,7 @@ def run_certify(chosen: argparse.Namespace) -> int:
             speed=chosen.speed,
             damping=chosen.damping,
             natural_frequency=chosen.natural_frequency,
+            car=chosen.car,
             seed=chosen.seed,
             lanes=chosen.lanes,
             report=report,
@@ -350,6 +354,10 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
     for name in names:
         if name not in CASES:
             raise ParameterError(f"unknown case {name!r}; known: {', '.join(CASES)}")
+    if {"adapter", "share_of_training"} & set(names):
+        require("stable_baselines3", "train")
+    if chosen.scaling and chosen.output:
+        require("matplotlib", "report")
     results = []
     for name in names:
         print(f"measuring {name}", file=sys.stderr, flush=True)

@@ -7,8 +7,8 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from roadgym import ROADS, SPEED_NOISES, ParameterError
-from roadgym.kernel import SIGNALS
+from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar
+from roadgym.task import signals
 
 
 def nonempty(text: str) -> str:
@@ -19,7 +19,7 @@ def nonempty(text: str) -> str:
 
 
 def component(text: str) -> Any:
-    """A road or a speed noise: its name, or the mapping that JSON tells."""
+    """A road, a speed noise or a car: its name, or the mapping that JSON tells."""
     if not text.lstrip().startswith("{"):
         return text
     try:
@@ -66,7 +66,8 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "nargs": "*",
             "metavar": "NAME",
-            "help": f"signals to observe, of {', '.join(SIGNALS)}; with no name, the operating point (speed, bandwidth) alone",
+            "help": f"signals to observe, of {', '.join(signals(QuarterCar()))}; with no name, the operating point (speed, "
+            "bandwidth) alone",
         },
     ),
     "observe_operating_point": (
@@ -77,9 +78,13 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         "--control-interval",
         {"type": float, "metavar": "S", "help": "time between actions, s (0.2/natural frequency)"},
     ),
+    "car": (
+        "--car",
+        {"type": component, "metavar": "CAR", "help": f"{', '.join(CARS)}, or a JSON mapping with the key kind"},
+    ),
     "natural_frequency": (
         "--natural-frequency",
-        {"type": float, "metavar": "W1", "help": "natural frequency of the car, rad/s (1)"},
+        {"type": float, "metavar": "W1", "help": "natural frequency of the car of one mass, rad/s (1)"},
     ),
 }
 
@@ -90,7 +95,7 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
     group.add_argument(
         "--algorithm",
         default="ppo",
-        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs roadgym[recurrent] (%(default)s)",
+        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent (%(default)s)",
     )
     group.add_argument(
         "--hyperparameters",

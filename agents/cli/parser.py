@@ -23,7 +23,7 @@ from .commands import (
     run_train,
     run_tune,
 )
-from .options import add_environment, add_evaluation, add_training, component, nonempty, weights
+from .options import ENVIRONMENT, add_environment, add_evaluation, add_training, component, nonempty, weights
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
 
@@ -144,7 +144,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     certify.add_argument("--speed", type=float, default=1.0, metavar="V", help="speed, m/s (%(default)s)")
     certify.add_argument("--damping", type=float, default=0.3, metavar="D", help="damping ratio (%(default)s)")
-    certify.add_argument("--natural-frequency", type=float, default=1.0, metavar="W1", help="of the car, rad/s (%(default)s)")
+    certify.add_argument("--car", **ENVIRONMENT["car"][1])
+    certify.add_argument("--natural-frequency", **ENVIRONMENT["natural_frequency"][1])
     certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s)")
     certify.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
     certify.add_argument("--json", action="store_true", help="print JSON instead of the table")

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from roadgym import MEAN_SQUARES, __version__
+from roadgym import MEAN_SQUARES, QuarterCar, __version__
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, number, shown
 from roadgym.reward import check_weights, divergent_terms
@@ -130,13 +130,14 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
         raise ParameterError(
             f"damping_min must not be above damping_max, {result['damping_max']:g}, got {result['damping_min']:g}"
         )
-    result["weights"] = check_weights(view.get("weights", DISPLACEMENT), road, noise)
+    result["weights"] = check_weights(view.get("weights", DISPLACEMENT), QuarterCar(), road, noise)
     return result
 
 
 def plants() -> dict[str, dict[str, dict[str, Any]]]:
     """By road and speed noise, where it is defined there: is there only simulation, and which mean squares are infinite?"""
     result: dict[str, dict[str, dict[str, Any]]] = {}
+    car = QuarterCar()
     for kind in ROADS:
         road = kind()
         result[road.kind] = {}
@@ -145,5 +146,8 @@ def plants() -> dict[str, dict[str, dict[str, Any]]]:
                 noise = make_speed_noise(name, road)
             except ParameterError:
                 continue
-            result[road.kind][name] = {"simulated": needs_simulation(road, noise), "divergent": divergent_terms(road, noise)}
+            result[road.kind][name] = {
+                "simulated": needs_simulation(road, noise, car),
+                "divergent": divergent_terms(car, road, noise),
+            }
     return result

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.kernel import RESULT_SQUARE, REWARD
 from roadgym.plant import Plant
 from roadgym.task import Task
 
@@ -48,16 +47,15 @@ def drive(
     Constant dampings over the same noise serve as control variates, see `analysis.control_variates`. A start at rest leaves
     exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4, and to far less for those.
     """
-    everyone = np.ones(LANES_DRIVEN, np.bool_)
     seeds = noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64)
 
     def start() -> tuple[Plant, SingleArray]:
         plant = Plant(task, LANES_DRIVEN, threads=threads)
-        plant.seed(seeds, everyone)
-        return plant, plant.reset(plant.forced({}), everyone)[0]
+        return plant, plant.start(seeds).observations
 
     plant, states = start()
     columns = np.array([task.signals.index(name) for name in STATE])
+    moving = [task.car.mean_squares.index(name) for name in STATE[:2]]
     low, high = np.array(task.damping_range, np.float32)
     damping = np.empty(LANES_DRIVEN, np.float32)
     total, squares = np.zeros(LANES_DRIVEN), np.zeros(2)
@@ -77,13 +75,14 @@ def drive(
     while measured < least * PIECE or (pieces is None and error > precision * mean):
         for _ in range(PIECE if step >= skipped else skipped):
             respond(states)
-            states, results, _, _ = plant.step(np.clip(damping, low, high, out=damping))
-            costs = [rival.step(constant)[1][REWARD] for rival, constant in zip(rivals, held, strict=True)]
+            interval = plant.step(np.clip(damping, low, high, out=damping))
+            states = interval.observations
+            rewards = [rival.step(constant).reward for rival, constant in zip(rivals, held, strict=True)]
             if step >= skipped:
-                total -= results[REWARD]
-                for control, cost in zip(controls, costs, strict=True):
-                    control -= cost
-                squares += np.mean(results[RESULT_SQUARE : RESULT_SQUARE + 2], axis=1, dtype=float)
+                total -= interval.reward
+                for control, reward in zip(controls, rewards, strict=True):
+                    control -= reward
+                squares += np.mean(interval.mean_squares[moving], axis=1, dtype=float)
                 measured += 1
             step += 1
         if measured:

@@ -40,7 +40,7 @@ class Model:
         best = optimal_damping(
             task.road,
             speed=task.speed[0],
-            natural_frequency=task.car.natural_frequency,
+            car=task.car,
             weights=task.weights_by_name,
             bounds=task.damping_range,
         )

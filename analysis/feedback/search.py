@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.cars import MEAN_SQUARES, Car, make_car
 from roadgym.parameters import ParameterError, positive_range, shown, whole, within
 from roadgym.reward import check_weights
 from roadgym.roads import Road, make_road
@@ -39,12 +40,19 @@ def check_road(road: Road) -> None:
         raise ParameterError(f"road must be gaussian, or multiplicative on a circle, got {road!r}")
 
 
+def check_car(car: Car) -> None:
+    """Raises `ParameterError` for a car for which `optimal_feedback` is not there."""
+    if not (car.motion.is_one_mass and set(STATE[:2]) <= set(car.mean_squares)):
+        raise ParameterError(f"car must be of one mass, got {car!r}")
+
+
 def optimal_feedback(
     road: str | Mapping[str, Any] | Road,
     *,
     speed: float,
     bandwidth: float | None = None,
-    natural_frequency: float = 1.0,
+    natural_frequency: float | None = None,
+    car: str | Mapping[str, Any] | Car | None = None,
     weights: Mapping[str, float] = DISPLACEMENT,
     bounds: tuple[float, float] = (0.05, 1.0),
     control_interval: float | None = None,
@@ -65,7 +73,8 @@ def optimal_feedback(
         road: a Gaussian road, or a multiplicative road on a circle, or its name or mapping.
         speed: v > 0, m/s.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance.
-        natural_frequency: w1, rad/s.
+        natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
+        car: a car of one mass, or its name or mapping.
         weights: weights of the mean squares, as of the reward of the environment.
         bounds: smallest and largest damping, 0 < low < high.
         control_interval: time between two settings of D, s; 0.2/natural_frequency by default.
@@ -84,7 +93,9 @@ def optimal_feedback(
     check_road(road)
     if bandwidth is not None:
         road = road.with_bandwidth(within("bandwidth", bandwidth))
-    check_weights(weights, road)
+    the_car = make_car(car, natural_frequency)
+    check_car(the_car)
+    check_weights(weights, the_car, road, None)
     low, high = positive_range("bounds", bounds, "damping")
     if low == high:
         raise ParameterError(f"bounds must be a pair (low, high) with low < high, got {shown(bounds)}")
@@ -94,7 +105,7 @@ def optimal_feedback(
         damping_range=(low, high),
         reward=weights,
         observation=STATE,
-        natural_frequency=natural_frequency,
+        car=the_car,
         control_interval=control_interval,
     )
     tolerance, precision = within("tolerance", tolerance, "relative_error"), within("precision", precision, "relative_error")
@@ -119,6 +130,8 @@ def optimal_feedback(
         "refinements": refinements,
         "seed": seed,
     }
+    if the_car.mean_squares != MEAN_SQUARES:  # what the weights weigh is then its own affair
+        description["signals"] = {name: dict(the_car.motion.signals[name].terms) for name in task.weights_by_name}
     text = json.dumps(description, sort_keys=True)
     path = None if cache is None else Path(cache) / f"feedback-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
     point: dict[str, Any] = {

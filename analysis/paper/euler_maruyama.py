@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.car import MEAN_SQUARES
+from roadgym.cars import MEAN_SQUARES, QuarterCar
 from roadgym.compiled import LANES, LaneFunction
 from roadgym.noise import fill_words, keys_from_seeds
 from roadgym.parameters import ParameterError, check_ratio, number, shown, whole, within
@@ -313,7 +313,7 @@ def simulate(
     merges = (1, 2) if bias else (1,)
     jobs = list(itertools.product(range(len(speeds)), range(blocks), merges))
     found = in_threads(drive, jobs, threads, report)
-    divergent = divergent_terms(road, speed_noise)
+    divergent = divergent_terms(QuarterCar(), road, speed_noise)
     results = []
     for place, value in enumerate(speeds):
         fine, coarse = (

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..component import Registry
+from .alone import sample_road
 from .base import Road
 from .first_order import FirstOrderRoad
 from .gaussian import GaussianRoad
@@ -24,6 +25,7 @@ __all__ = [
     "Road",
     "TwoCornerRoad",
     "make_road",
+    "sample_road",
 ]
 
 ROADS: Registry[Road] = Registry(

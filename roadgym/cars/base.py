@@ -1,0 +1,92 @@
+"""What every car is: frozen parameters, its equations as matrices, and compiled functions over lanes."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ..compiled import LaneFunction
+from ..linear import Motion
+
+if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
+    from ..drawing import Canvas
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Car(abc.ABC):
+    """A car that a road moves, and a damper of ratio D resists.
+
+    A new car subclasses this, as a frozen keyword-only dataclass whose field ``kind`` is its name, and supplies its
+    ``natural_frequency`` w1, rad/s, and its `motion`: everything that theory, reward and observation know of it follows, and
+    a signal that is added there is a mean square, a term of the reward and an observation at once. Its two lane functions (see
+    `roadgym.compiled`) see lengths in standard deviations of the road and times in 1/w1. Both are of a block:
+
+    - ``prepare``, at the beginning of a control interval: what depends on the damping ``work[DAMPING + i]``;
+    - ``advance``: moves the states ``car[k * LANES + i]``, in the order of `motion`, on by one substep ``work[SUBSTEP]``, over
+      a level that goes to ``lanes[LEVEL + i]`` straight, but for its mean excess ``lanes[LEVEL_EXCESS + i]`` over that line.
+
+    They may square the first ``squared`` of the signals themselves, which is faster: then ``prepare`` sets the rows
+    ``work[WORK + k * LANES + i]`` to the squares now times ``work[SHARE]``, and ``advance`` adds to them. All other signals are
+    squared for them. After these rows follow ``working_rows`` more for their own use within an interval.
+    """
+
+    if TYPE_CHECKING:
+
+        @property
+        def natural_frequency(self) -> float:
+            """Undamped natural frequency w1 of the body, rad/s: the unit of time."""
+
+    kind: str = dataclasses.field(default="", init=False)
+
+    squared: ClassVar[int] = 0
+    working_rows: ClassVar[int] = 0
+    prepare: ClassVar[LaneFunction]
+    advance: ClassVar[LaneFunction]
+
+    @property
+    @abc.abstractmethod
+    def motion(self) -> Motion:
+        """Its equations in units of time 1/natural_frequency."""
+
+    @property
+    def rows(self) -> int:
+        """Rows of the block that it needs, its states first."""
+        return len(self.motion.states)
+
+    def table(self, substep: float, damping: tuple[float, float]) -> npt.NDArray[np.float64]:
+        """Constants for the lane functions, the same for every lane.
+
+        Args:
+            substep: in units of 1/natural_frequency.
+            damping: smallest and largest D that is met.
+        """
+        return np.zeros(1)
+
+    @property
+    def mean_squares(self) -> tuple[str, ...]:
+        """Names of its signals, each of which has a mean square."""
+        return tuple(self.motion.signals)
+
+    @property
+    def fastest(self) -> float:
+        """The largest of its undamped natural frequencies, in units of w1."""
+        return float(np.abs(np.linalg.eigvals(self.motion.drift)).max())
+
+    @property
+    def firmness(self) -> float:
+        """Rate at which D = 1/2 alone stops the relative velocity, in units of w1: 1 for one mass."""
+        return float(-np.trace(self.motion.damper))
+
+    def decay(self, damping: float) -> float:
+        """Rate at which its free motion decays in the end at a constant D, in units of w1."""
+        return float(-np.linalg.eigvals(self.motion.drift + 2 * damping * self.motion.damper).real.max())
+
+    def draw(self, canvas: Canvas) -> None:
+        """Draw the car; by default a body over a wheel that follows the road."""
+        from ..drawing import body_on_wheel
+
+        body_on_wheel(canvas)

@@ -1,0 +1,127 @@
+"""Cars that are their matrices, of up to four states: a `roadgym.linear.Motion` in, an exact car out.
+
+Between two settings of D the states q obey dq/dt = A(D) q + b Z + e(D) dZ/dt, and a car that stands on the road rises with it:
+where the level and all heights rise by the same, nothing else happens. So with w, 1 for each height and 0 for each velocity,
+the heights above the road p = q - w Z obey
+
+    dp/dt = A(D) p + (e(D) - w) dZ/dt.
+
+Over a substep h the level is taken as the straight line between its ends, raised by its mean excess m over that line, as by the
+car of one mass (`roadgym.cars.one_mass`), so that the forces on the car have the right integral and first moment:
+
+    p(h) = Phi p(0) + (1/h) integral of Phi (e - w) (Z1 - Z0) + (Phi - I) (e - w) m,    Phi(D, h) = exp(h A(D)).
+
+All three factors are entire functions of D: at the beginning of an interval they come from their Chebyshev series over the
+range of D, whose last terms are below rounding.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ..compiled import DAMPING, LANES, LEVEL, LEVEL_EXCESS, WORK, LaneFunction, like
+from ..linear import FloatArray
+from ..parameters import ParameterError
+from .base import Car
+
+STATES = 4  # at most
+DEGREE = 12  # in D; with h D times the damper's own rate below 2, the series' rest is below 1e-10
+FACTORS = STATES * STATES + 2 * STATES  # Phi row by row, then those of the climb and of the excess
+
+PREVIOUS_LEVEL = WORK
+FACTOR = PREVIOUS_LEVEL + LANES
+
+# the table: middle and inverse half width of the range of D, w, then the coefficients of the factors, the highest power first
+HEIGHTS, SERIES = 2, 2 + STATES
+
+
+@LaneFunction
+def prepare(lanes: Any, car: Any, work: Any, table: Any) -> None:
+    """The factors of a substep at the damping of each lane, by Horner's rule."""
+    middle, inverse = table[0], table[1]
+    for k in range(FACTORS):
+        row = FACTOR + k * LANES
+        for i in range(LANES):
+            work[row + i] = table[SERIES + k * (DEGREE + 1)]
+        for n in range(1, DEGREE + 1):
+            coefficient = table[SERIES + k * (DEGREE + 1) + n]
+            for i in range(LANES):
+                work[row + i] = work[row + i] * ((work[DAMPING + i] - middle) * inverse) + coefficient
+    for i in range(LANES):
+        work[PREVIOUS_LEVEL + i] = lanes[LEVEL + i]
+
+
+@LaneFunction
+def advance(lanes: Any, car: Any, work: Any, table: Any) -> None:
+    """One substep."""
+    w0, w1, w2, w3 = table[HEIGHTS], table[HEIGHTS + 1], table[HEIGHTS + 2], table[HEIGHTS + 3]
+    zero = like(lanes, 0.0)
+    for i in range(LANES):
+        old, z, excess = work[PREVIOUS_LEVEL + i], lanes[LEVEL + i], lanes[LEVEL_EXCESS + i]
+        climb = z - old
+        p0, p1 = car[i] - w0 * old, car[LANES + i] - w1 * old
+        p2, p3 = car[2 * LANES + i] - w2 * old, car[3 * LANES + i] - w3 * old
+        f = FACTOR + i
+        car[i] = zero + (work[f] * p0 + work[f + LANES] * p1) + (work[f + 2 * LANES] * p2 + work[f + 3 * LANES] * p3)
+        f += 4 * LANES
+        car[LANES + i] = (work[f] * p0 + work[f + LANES] * p1) + (work[f + 2 * LANES] * p2 + work[f + 3 * LANES] * p3)
+        f += 4 * LANES
+        car[2 * LANES + i] = (work[f] * p0 + work[f + LANES] * p1) + (work[f + 2 * LANES] * p2 + work[f + 3 * LANES] * p3)
+        f += 4 * LANES
+        car[3 * LANES + i] = (work[f] * p0 + work[f + LANES] * p1) + (work[f + 2 * LANES] * p2 + work[f + 3 * LANES] * p3)
+        f += 4 * LANES
+        car[i] += work[f] * climb + work[f + 4 * LANES] * excess + w0 * z
+        car[LANES + i] += work[f + LANES] * climb + work[f + 5 * LANES] * excess + w1 * z
+        car[2 * LANES + i] += work[f + 2 * LANES] * climb + work[f + 6 * LANES] * excess + w2 * z
+        car[3 * LANES + i] += work[f + 3 * LANES] * climb + work[f + 7 * LANES] * excess + w3 * z
+        work[PREVIOUS_LEVEL + i] = z
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LinearCar(Car):
+    """A car whose `motion`, of four states at most, is all that there is; nothing is compiled for it.
+
+    It must rise with the road as a whole: `table` raises `ParameterError` where it does not.
+    """
+
+    rows = STATES
+    working_rows = 1 + FACTORS
+    prepare = prepare
+    advance = advance
+
+    def table(self, substep: float, damping: tuple[float, float]) -> FloatArray:
+        """Heights, and the Chebyshev series of the factors as polynomials in D over its range."""
+        from scipy.linalg import expm
+
+        motion, size = self.motion, len(self.motion.states)
+        if size > STATES:
+            raise ParameterError(f"a {self.kind} car must have {STATES} states at most, got {', '.join(motion.states)}")
+        heights, relative = motion.follows, motion.rows[list(motion.signals).index(motion.relative)]
+        if np.any(motion.drift @ heights + motion.level_entry) or relative[:size] @ heights + relative[size]:
+            raise ParameterError(f"a {self.kind} car must rise with the road: drift follows + level_entry must be zero")
+        low, high = damping
+        middle, half = (low + high) / 2, max((high - low) / 2, 1e-9)
+        nodes = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+        factors = np.zeros((DEGREE + 1, FACTORS))
+        for node, row in zip(nodes.tolist(), factors, strict=True):
+            twice = 2 * (middle + half * node)
+            entry = motion.slope_entry - twice * relative[size + 1] * motion.force_entry - heights
+            block = np.zeros((size + 1, size + 1))
+            block[:size, :size], block[:size, size] = motion.drift + twice * motion.damper, entry
+            exponential = expm(block * substep)
+            phi = np.zeros((STATES, STATES))
+            phi[:size, :size] = exponential[:size, :size]
+            climb, excess = np.zeros(STATES), np.zeros(STATES)
+            climb[:size] = exponential[:size, size] / substep
+            excess[:size] = (phi[:size, :size] - np.eye(size)) @ entry
+            row[:] = np.concatenate([phi.ravel(), climb, excess])
+        basis = np.zeros((DEGREE + 1, DEGREE + 1))  # Chebyshev's polynomials in powers
+        for k in range(DEGREE + 1):
+            basis[k, : k + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(DEGREE + 1)[k])
+        powers = (np.polynomial.chebyshev.chebfit(nodes, factors, DEGREE).T @ basis)[:, ::-1]
+        follows = np.zeros(STATES)
+        follows[:size] = heights
+        return np.concatenate([[middle, 1 / half], follows, powers.ravel()])
