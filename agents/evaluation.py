@@ -19,6 +19,7 @@ from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 from .actions import damping_reader
+from .names import title
 from .records import Purpose, stream_seed
 
 FEWEST_EPISODES = 16  # a standard error from fewer is itself uncertain by more than a fifth
@@ -225,6 +226,7 @@ def evaluate(
 
     def driven(name: str, controller: Predictor) -> tuple[npt.NDArray[np.float64], ...]:
         """Costs, squares and switches, as of `Evaluation`."""
+        turn = next(turns)
         total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
         steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options)
@@ -236,13 +238,14 @@ def evaluate(
                     square += infos[signal]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
-                report(f"driving {name}", step + 1, skipped + measured)
+                report(f"driving {turn} of {len(constants) + len(controllers)}: {title(name)}", step + 1, skipped + measured)
         return (
             (total / measured).reshape(shape),
             (squares / (measured * task.road.variance)).reshape(-1, *shape),
             switches.reshape(shape).mean(axis=1) / (measured * task.control_interval),
         )
 
+    turns = itertools.count(1)
     constants = control_dampings(task, skipped * task.control_interval, episodes)
     controls = np.array([driven(f"constant D = {damping:.2g}", _Constant(damping))[1] for damping in constants])
     theory = [expected_squares(task, constants, point.speed, point.bandwidth) for point in points] if constants else []

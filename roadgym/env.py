@@ -50,6 +50,8 @@ def check_render_mode(mode: Any, known: Sequence[str]) -> None:
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
 
+    By default the car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own.
+
     - Action: D itself, `Box(damping_range)`, shape (1,), float32. It saturates at the range, as an actuator does; an action
       that is not finite or has another shape raises.
     - Reward: minus the weighted sum of the interval's mean squares over the road's variance E Z^2. With the default weights the
