@@ -40,11 +40,18 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         what: what they are, as messages call it.
         base: their common class.
         entries: those that are there from the beginning.
+        presets: mappings that have a name of their own.
     """
 
-    def __init__(self, what: str, base: Any, entries: Mapping[str, type[Component]]) -> None:
+    def __init__(
+        self,
+        what: str,
+        base: Any,
+        entries: Mapping[str, type[Component]],
+        presets: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         super().__init__(entries)
-        self.what, self.base = what, base
+        self.what, self.base, self.presets = what, base, dict(presets or {})
 
     def register(self, name: str, component: type[Component]) -> None:
         """Add a component, for use by name in the environment, in theory, in tests and in every command.
@@ -66,8 +73,8 @@ class Registry(dict[str, type[Component]], Generic[Component]):
     def make(self, value: Any) -> Component:
         """A component from its name, from a mapping with the key "kind" and its parameters, or as it is.
 
-        The parameters are those of the class, or of the one of its ``constructors`` whose parameter is among them. A kind that
-        is not there is looked for among the entry points of installed packages, in the group `ENTRY_POINTS`.
+        The parameters are those of the class, or of the first of its ``constructors`` whose parameter is among them. A kind
+        that is not there is looked for among the entry points of installed packages, in the group `ENTRY_POINTS`.
 
         Raises:
             ParameterError: unknown kind or parameter, or a value out of range.
@@ -75,7 +82,7 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         if isinstance(value, self.base):
             return value  # type: ignore[no-any-return]
         if isinstance(value, str):
-            value = {"kind": value}
+            value = self.presets.get(value, {"kind": value})
         if not isinstance(value, Mapping):
             raise ParameterError(f"{self.what} must be a name, a mapping or a {self.base.__name__}, got {shown(value)}")
         parameters = dict(value)
@@ -83,20 +90,18 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         if isinstance(kind, str) and kind not in self:
             import_modules(point.module for point in importlib.metadata.entry_points(group=ENTRY_POINTS, name=kind))
         if not isinstance(kind, str) or kind not in self:
-            raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join(self)}")
+            raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join([*self, *self.presets])}")
         component: Any = self[kind]
-        allowed = [field.name for field in dataclasses.fields(component) if field.init]
-        for name in parameters:
-            if name not in allowed and name not in component.constructors:
-                known = ", ".join([*allowed, *component.constructors])
-                raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}; known: {known}")
-        for own in parameters.keys() & component.constructors.keys():
+        own = next((name for name in component.constructors if name in parameters), None)
+        if own is None:
+            allowed = [field.name for field in dataclasses.fields(component) if field.init]
+            known = ", ".join([*allowed, *component.constructors])
+        else:
             component = getattr(component, component.constructors[own])
             allowed = list(inspect.signature(component).parameters)
-            for name in parameters:
-                if name not in allowed:
-                    raise ParameterError(
-                        f"parameter {name!r} of {self.what} {kind!r} cannot be given beside {own!r}; "
-                        f"known: {', '.join(allowed)}"
-                    )
+            known = ", ".join(allowed)
+        for name in parameters:
+            if name not in allowed:
+                beside = "" if own is None else f" beside {own!r}"
+                raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}{beside}; known: {known}")
         return component(**parameters)  # type: ignore[no-any-return]

@@ -41,6 +41,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         # roads
         "wavenumber": Range(1e-6, 1e6, "Omega of a road, rad/m"),
         "length": Range(1e-6, 1e6, "amplitude mu and bounds z0, u0 of a road, m"),
+        "roughness": Range(1e-9, 1.0, "G(n0) of ISO 8608, m^3"),
         "noise_intensity": Range(1e-9, 1e9, "sigma of a road, m^(1/2), and of a speed noise, rad/s^(1/2)"),
         "variance": Range(1e-14, 1e14, "E Z^2 of a road, m^2"),
         "bandwidth": Range(1e-4, 100.0, "damping ratio delta of the filter of a road that is driven, 1"),

@@ -217,11 +217,11 @@ def test_road_survives_being_a_mapping(name):
         ({"kind": "harmonic", "wavenumber": 0}, "wavenumber must be positive, got 0"),
         (
             {"kind": "multiplicative", "shpe": 1},
-            "known: wavenumber, bandwidth, noise_intensity, level_bound, slope_bound, shape",
+            "known: wavenumber, bandwidth, noise_intensity, level_bound, slope_bound, iso_class, shape",
         ),
         (
             {"kind": "multiplicative", "shape": 1, "noise_intensity": 1},
-            "parameter 'noise_intensity' of road 'multiplicative' cannot be given beside 'shape'; known: shape, bandwidth, ",
+            "unknown parameter 'noise_intensity' of road 'multiplicative' beside 'shape'; known: shape, bandwidth, ",
         ),
         ({"kind": "multiplicative", "shape": 0}, "shape must be positive, got 0"),
         ({"kind": "gaussian", "shape": 1}, "unknown parameter 'shape' of road 'gaussian'"),

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..component import Registry
+from . import iso8608
 from .alone import sample_road
 from .base import Road
 from .first_order import FirstOrderRoad
@@ -38,6 +39,7 @@ ROADS: Registry[Road] = Registry(
         "multiplicative": MultiplicativeRoad,
         "two_corner": TwoCornerRoad,
     },
+    presets={f"iso_{name.lower()}": {"kind": "first_order", "iso_class": name} for name in iso8608.MEANS},
 )
 
 

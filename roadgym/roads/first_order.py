@@ -16,6 +16,8 @@ import numpy.typing as npt
 from ..compiled import COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction, like
 from ..linear import ShapingFilter
 from ..noise import normal_pair
+from ..parameters import positive
+from . import iso8608
 from .base import Road, check_fields, check_variance
 
 KEEP, LEVEL_NOISE = COEFFICIENT, COEFFICIENT + LANES
@@ -76,6 +78,7 @@ class FirstOrderRoad(Road):
     kind: str = dataclasses.field(default="first_order", init=False)
     noise_intensity: float = 0.5
 
+    constructors = {"iso_class": "from_iso8608"}  # noqa: RUF012 - of the class, as its base declares
     has_slope = False
     prepare = prepare
     start = start
@@ -85,6 +88,17 @@ class FirstOrderRoad(Road):
         super().__post_init__()
         check_fields(self, noise_intensity="noise_intensity")
         check_variance(self, "noise_intensity")
+
+    @classmethod
+    def from_iso8608(cls, iso_class: str | float, *, lowest_frequency: float = iso8608.LOWEST) -> FirstOrderRoad:
+        """A road of a class of ISO 8608, by the geometric mean of its roughness; see `roadgym.roads.iso8608`.
+
+        Args:
+            iso_class: "A" to "H", or the density G(n0) in m^3.
+            lowest_frequency: spatial frequency below which the spectrum levels off, cycles/m.
+        """
+        wavenumber = 2 * math.pi * positive("lowest_frequency", lowest_frequency)
+        return cls(noise_intensity=math.sqrt(iso8608.strength(iso_class)), wavenumber=wavenumber)
 
     @property
     def variance(self) -> float:

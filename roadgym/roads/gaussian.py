@@ -20,6 +20,7 @@ from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE
 from ..linear import ShapingFilter
 from ..noise import normal_pair
 from ..parameters import within
+from . import iso8608
 from .base import Road, check_fields, check_variance
 
 
@@ -105,6 +106,7 @@ class GaussianRoad(Road):
     bandwidth: float = 0.1
     noise_intensity: float = 0.2
 
+    constructors = {"iso_class": "from_iso8608"}  # noqa: RUF012 - of the class, as its base declares
     prepare = prepare
     start = start
     advance = advance
@@ -113,6 +115,23 @@ class GaussianRoad(Road):
         super().__post_init__()
         check_fields(self, bandwidth="constant bandwidth", noise_intensity="noise_intensity")
         check_variance(self, "noise_intensity")
+
+    @classmethod
+    def from_iso8608(
+        cls,
+        iso_class: str | float,
+        *,
+        lowest_frequency: float = iso8608.LOWEST,
+        highest_frequency: float = iso8608.HIGHEST,
+    ) -> GaussianRoad:
+        """A road of a class of ISO 8608 between two corners, beyond which it is smooth; see `roadgym.roads.iso8608`.
+
+        Args:
+            iso_class: "A" to "H", or the density G(n0) in m^3.
+            lowest_frequency, highest_frequency: corners of the spectrum, cycles/m.
+        """
+        wavenumber, bandwidth, ratio = iso8608.corners(lowest_frequency, highest_frequency)
+        return cls(bandwidth=bandwidth, noise_intensity=math.sqrt(iso8608.strength(iso_class) * ratio), wavenumber=wavenumber)
 
     @property
     def variance(self) -> float:

@@ -45,6 +45,7 @@ from ..compiled import BANDWIDTH, COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE
 from ..linear import ShapingFilter
 from ..noise import normal_pair, philox, uniform
 from ..parameters import ParameterError, check_ratio, within
+from . import iso8608
 from .base import Road, check_fields
 from .gaussian import oscillator, second_order_filter
 
@@ -344,7 +345,7 @@ class MultiplicativeRoad(Road):
     level_bound: float = 1.0
     slope_bound: float | None = None
 
-    constructors = {"shape": "from_shape"}  # noqa: RUF012 - of the class, as its base declares
+    constructors = {"iso_class": "from_iso8608", "shape": "from_shape"}  # noqa: RUF012 - of the class, as its base declares
     prepare = prepare
     start = start
 
@@ -358,6 +359,27 @@ class MultiplicativeRoad(Road):
         if self.slope_bound is not None and not self.is_circle:
             check_ratio("slope_bound", self.slope_bound, "u0/z0", self.slope_bound / self.level_bound, "axes ratio")
             within("bandwidth on an ellipse", self.bandwidth, "ellipse bandwidth")
+
+    @classmethod
+    def from_iso8608(
+        cls,
+        iso_class: str | float,
+        *,
+        shape: float = 2.0,
+        lowest_frequency: float = iso8608.LOWEST,
+        highest_frequency: float = iso8608.HIGHEST,
+    ) -> MultiplicativeRoad:
+        """A bounded road with the spectrum of a class of ISO 8608 between two corners; see `roadgym.roads.iso8608`.
+
+        Args:
+            iso_class: "A" to "H", or the density G(n0) in m^3.
+            shape: alpha of its density (11): the larger, the nearer to Gaussian and the wider the bound.
+            lowest_frequency, highest_frequency: corners of the spectrum, cycles/m.
+        """
+        wavenumber, bandwidth, ratio = iso8608.corners(lowest_frequency, highest_frequency)
+        variance = iso8608.strength(iso_class) * ratio / (4 * bandwidth * wavenumber)
+        bound = math.sqrt(2 * (within("shape", shape, "constant shape") + 1) * variance)  # (12)
+        return cls.from_shape(shape=shape, bandwidth=bandwidth, level_bound=bound, wavenumber=wavenumber)
 
     @classmethod
     def from_shape(
