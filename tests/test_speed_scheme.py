@@ -1,0 +1,216 @@
+"""What the scheme makes of the car's mean squares under speed noise.
+
+*Exact bias.* Over one substep the car and the road are linear in (Y, X, Z, U), with coefficients that depend on the noise of
+the substep and on the filtered noise Psi at its start. So the second moments close once they are expanded in the Hermite
+polynomials of Psi, and the stationary mean squares of the *discrete* scheme come without any noise: the kernel's own lane
+functions are run on the points of a Gauss-Hermite rule in place of random numbers.
+"""
+
+import contextlib
+import itertools
+import math
+
+import numpy as np
+import pytest
+from plants import PLANTS, plant_name
+from scipy.linalg import solve_discrete_lyapunov
+from speed_plants import exact_mean_squares, finite_terms, started_plant
+
+from roadgym import SPEED_NOISES, GaussianRoad, LowPassSpeedNoise, MultiplicativeRoad
+from roadgym import compiled as rows
+from roadgym import speed as speed_module
+from roadgym.cars import one_mass
+from roadgym.compiled import LANES
+from roadgym.roads import first_order, gaussian
+from roadgym.task import LARGEST_ANGLE, make_task
+
+
+class Vectors:
+    """A block each of whose numbers is a vector, so that a lane function written for one block runs on many at once."""
+
+    def __init__(self, array):
+        self.array, self.dtype = array, array.dtype
+
+    def __getitem__(self, index):
+        return self.array[index].copy()  # a number, not a view that a later assignment would change
+
+    def __setitem__(self, index, value):
+        self.array[index] = value
+
+
+@contextlib.contextmanager
+def given_normals():
+    """Within, `normal_pair` hands on its words, so that they may be the normals themselves."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (speed_module, first_order, gaussian):
+            patch.setattr(module, "normal_pair", lambda first, second: (first, second))
+        patch.setattr(speed_module, "max", np.maximum, raising=False)
+        yield
+
+
+def one_substep(task, damping, state, road_normals, speed_normals):
+    """The rows of the block after one substep from ``state``, by the kernel's lane functions; arrays of 64 n numbers."""
+    road, noise = task.road, task.speed_noise
+    interval = task.control_interval * task.car.natural_frequency
+    ratio = task.frequency_ratio(task.speed[0])
+    columns = state[rows.LEVEL].size // LANES
+    size = rows.COEFFICIENT + road.rows * LANES
+    block = np.zeros((size, columns))
+
+    def words(normals):
+        return Vectors(np.concatenate([normal.reshape(LANES, columns) for normal in normals]))
+
+    everything = {rows.SPEED: ratio, rows.RATE: ratio, rows.BANDWIDTH: task.bandwidth[0], rows.TURN: ratio * interval, **state}
+    cars = [everything.pop(name) for name in ("displacement", "velocity")]
+    for row, values in everything.items():
+        block[row : row + LANES] = np.broadcast_to(values, LANES * columns).reshape(LANES, columns)
+    states = np.array(cars).reshape(2 * LANES, columns)
+    work = np.zeros((one_mass.DECAY_22 + LANES, columns))
+    work[[rows.SUBSTEP, rows.INVERSE_SUBSTEP]] = np.array([[interval], [1 / interval]])
+    work[rows.DAMPING : rows.DAMPING + LANES] = damping
+    one_mass.prepare.function(Vectors(block), Vectors(states), Vectors(work), None)
+    with given_normals():
+        if noise is not None:
+            table = noise.table(interval, task.car.natural_frequency, road)
+            noise.advance.function(Vectors(block), words(speed_normals), table)
+        if road.prepare is not None:  # a function of one lane, written for numbers
+            for column, i in itertools.product(range(columns), range(LANES)):
+                lane = block[i:, column].copy()
+                road.prepare.function(lane, None, road.table())
+                block[i:, column] = lane
+        road.advance.function(Vectors(block), words(road_normals), road.table())
+    one_mass.advance.function(Vectors(block), Vectors(states), Vectors(work), None)
+    return block.reshape(size // LANES, -1), states.reshape(2, -1)
+
+
+def scheme_mean_squares(road, noise, *, damping, speed, interval, modes=24, outer=40, inner=6):
+    """Stationary mean squares of the discrete scheme over E Z^2, in the order of MEAN_SQUARES; infinite ones are meaningless.
+
+    With x = (Y, X) and r = (Z, U), one substep is x -> C x + G r + H n, r -> M r + N n, where n is normal, C fixed, and the
+    rest depends on Psi and on the noise of the speed. E r r^T is known and independent of Psi. q_m = E x r^T h_m(Psi), with the
+    normed Hermite polynomials h_m, obeys a linear equation, and then E x x^T a discrete Lyapunov equation.
+    """
+    task = make_task(road=road, speed_noise=noise, speed=speed, control_interval=interval, substeps=1, precision="float64")
+    road, noise = task.road, task.speed_noise
+    spread = gain = 0.0
+    if noise is not None:
+        spread, gain = noise.table(interval, 1.0, road)[[speed_module.SPREAD, speed_module.RATE_GAIN]]
+    if spread == 0:
+        modes = outer = 1
+    if noise is None:
+        inner = 1
+
+    # points (Psi, three normals) of the speed noise, each with six states of unit length (Y, X, Z, U, two normals of the road)
+    rules = [np.polynomial.hermite_e.hermegauss(count) for count in (outer, inner, inner, inner)]
+    psi, *normals = (grid.ravel() for grid in np.meshgrid(*(nodes for nodes, _ in rules), indexing="ij"))
+    weights = math.prod(np.ix_(*(weights / weights.sum() for _, weights in rules))).ravel()
+    units = np.diag([1, 1, math.sqrt(2), math.sqrt(2), 1, 1])  # the harmonic road keeps to this radius
+    padding = -6 * psi.size % LANES
+
+    def repeat(values):
+        return np.concatenate([np.tile(values, 6), np.zeros(padding)])
+
+    y, x, z, u, *road_normals = (np.concatenate([np.repeat(unit, psi.size), np.zeros(padding)]) for unit in units)
+    state = {"displacement": y, "velocity": x, rows.LEVEL: z, rows.SLOPE: u, rows.SPEED_STATE: repeat(spread * psi)}
+    block, cars = one_substep(task, damping, state, road_normals, [*map(repeat, normals), np.zeros(z.size)])
+
+    def answers(row):
+        return row[: 6 * psi.size].reshape(6, psi.size)
+
+    answer = np.stack([answers(row) for row in (*cars, block[rows.LEVEL // LANES], block[rows.SLOPE // LANES])])
+    answer /= np.diag(units)[:, None]
+    assert np.ptp(answer[:2, :2], axis=-1).max() < 1e-13  # the car's own map does not depend on the noise
+    c, g, h, m, n = answer[:2, :2, 0], answer[:2, 2:4], answer[:2, 4:], answer[2:, 2:4], answer[2:, 4:]
+    known = np.diag([1.0, float(road.has_slope)])
+
+    def hermite(values):
+        result = [np.ones_like(values), values]
+        for k in range(2, modes):
+            result.append((values * result[-1] - math.sqrt(k - 1) * result[-2]) / math.sqrt(k))
+        return np.stack(result[:modes])
+
+    before = weights * hermite(psi)
+    after = weights * hermite(answers(block[rows.SPEED_STATE // LANES])[0] / spread) if spread else before
+    carried = np.einsum("ap,ijp,bp->abij", after, m, before / weights, optimize=True)
+    forced = np.einsum("ikp,kl,jlp->ijp", g, known, m) + np.einsum("ikp,jkp->ijp", h, n)
+    system = np.einsum("ik,abjl->aijbkl", c, carried).reshape(4 * modes, 4 * modes)
+    forcing = np.einsum("ap,ijp->aij", after, forced).ravel()
+    q = np.linalg.solve(np.eye(4 * modes) - system, forcing).reshape(modes, 2, 2)
+    crossed = c @ np.einsum("aik,ap,jkp->ij", q, before, g, optimize=True)
+    own = np.einsum("ikp,kl,jlp,p->ij", g, known, g, weights) + np.einsum("ikp,jkp,p->ij", h, h, weights)
+    p = solve_discrete_lyapunov(c, crossed + crossed.T + own)
+
+    # means with the rate nu + gain Psi of the angle, which stands before U in the velocity of the road
+    ratio = task.frequency_ratio(speed)
+    with_rate = ratio * q[0, :, 1] + (gain * spread * q[1, :, 1] if modes > 1 else 0.0)
+    travel = p[0, 0] - 2 * q[0, 0, 0] + 1
+    relative = p[1, 1] - 2 * with_rate[1] + (ratio**2 + (gain * spread) ** 2) * known[1, 1]
+    mixed = p[0, 1] - q[0, 1, 0] - with_rate[0]
+    return np.array([p[0, 0], p[1, 1], 4 * damping**2 * relative + travel + 4 * damping * mixed, travel, relative])
+
+
+LINEAR_PLANTS = [plant for plant in PLANTS if plant["road"] in ("harmonic", "first_order", "gaussian")]  # known to this file
+
+
+@pytest.mark.parametrize("plant", LINEAR_PLANTS, ids=plant_name)
+def test_bias_falls_with_the_order_of_the_scheme(plant):
+    """Fourth order without noise on the speed, second order with it, fitted to the change with each halved substep."""
+    kind = plant["speed_noise"]
+    noise = kind and SPEED_NOISES[kind](intensity=0.3)
+    terms = finite_terms(plant["road"], kind)
+    intervals = 0.1 / 2.0 ** np.arange(4)
+    found = np.array(
+        [
+            scheme_mean_squares(plant["road"], noise, damping=0.3, speed=1.0, interval=h, modes=8, outer=16)[terms]
+            for h in intervals
+        ]
+    )
+    changes = np.abs(np.diff(found, axis=0)) / found[-1]
+    orders = -np.polyfit(np.arange(3), np.log2(changes), 1)[0]
+    assert np.all(orders > (3.9 if kind is None else 1.8))
+    # so what is left at the finest substep is less than its last change
+    if kind is None or plant["road"] == "harmonic":
+        exact = exact_mean_squares(plant["road"], noise, damping=0.3, speed=1.0)[terms]
+        assert np.all(np.abs(found[-1] / exact - 1) < np.maximum(changes[-1], 1e-9))
+
+
+RANGE = itertools.product(("low_pass", "high_pass"), (0.2, 1.0), (0.05, 1.0, 10.0))
+
+
+@pytest.mark.parametrize(("kind", "intensity", "corner"), [("white", 0.2, None), ("white", 1.0, None), *RANGE])
+def test_longest_substep_holds_the_bar_for_every_noise(kind, intensity, corner):
+    """sigma <= sqrt(w1) and 0.05 w1 <= w_g <= 10 w1 on the harmonic road."""
+    noise = SPEED_NOISES[kind](intensity=intensity, **({} if corner is None else {"corner_frequency": corner}))
+    terms = finite_terms("harmonic", kind)
+    for damping, speed in ((0.1, 1.0), (0.1, 3.0), (1.0, 0.3)):
+        interval = LARGEST_ANGLE / max(1.0, speed)
+        found = scheme_mean_squares(
+            "harmonic", noise, damping=damping, speed=speed, interval=interval, modes=20, outer=30, inner=5
+        )
+        exact = exact_mean_squares("harmonic", noise, damping=damping, speed=speed)
+        # the bar is 0.5 %
+        assert np.all(np.abs(found[terms] / exact[terms] - 1) < 1e-3)
+
+
+@pytest.mark.parametrize("shape", [0.3, 0.5, 2.0])
+@pytest.mark.parametrize("noise", [None, LowPassSpeedNoise(intensity=0.5, corner_frequency=2.0)])
+def test_car_on_a_bounded_road_follows_it_as_on_the_gaussian_road(shape, noise):
+    """The map from the ends of a substep to the car is the same, and so are the first two moments of the road: with them every
+    mean square of the scheme, and its bias, is that of the Gaussian road."""
+    bandwidth, interval, damping = 0.3, 0.3, np.float32(0.2)
+    maps = {}
+    for road in (
+        GaussianRoad(bandwidth=bandwidth, noise_intensity=1.0),
+        MultiplicativeRoad.from_shape(shape=shape, bandwidth=bandwidth, level_bound=1.0),
+    ):
+        plant = started_plant(
+            LANES, road=road, speed_noise=noise, speed=1.3, control_interval=interval, substeps=1, precision="float64"
+        )
+        old_z, old_u = plant.row("level"), plant.row("slope")
+        plant.step(np.full(LANES, damping))
+        ends = np.stack([old_z, plant.row("level"), plant.row(rows.TURN) * (plant.row("slope") - old_u)], axis=1)
+        car = np.stack([plant.row("displacement"), plant.row("velocity")], axis=1)
+        maps[road.kind], residual, rank, _ = np.linalg.lstsq(ends, car, rcond=None)
+        assert rank == 3
+        assert np.all(residual < 1e-20)  # the car, at rest before, depends on nothing else
+    np.testing.assert_allclose(maps["multiplicative"], maps["gaussian"], atol=1e-12)
