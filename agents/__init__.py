@@ -9,6 +9,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from roadgym.installation import check_package
+
 if TYPE_CHECKING:
     from .agent import Agent as Agent
     from .agent import load as load
@@ -34,6 +36,9 @@ _HOME = {
     "tune": "tuning",
 }
 __all__ = sorted(_HOME)
+__distribution__ = "roadgym"  # by which roadgym tells this package from others of its name
+
+check_package("analysis")  # on which this package rests
 
 
 def __getattr__(name: str) -> Any:

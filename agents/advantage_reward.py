@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from analysis.quadratic import plant_system, value_form
+from roadgym.installation import needs
 
 from .actions import damping_from_action
 from .advantage import advantage_forms
 from .theory import NODES, OperatingGrid
 from .vec_env import QuarterCarVecEnv
+
+with needs("train"):
+    from stable_baselines3.common.vec_env import VecEnvWrapper
 
 CHOICES = 4  # damping ratios through which the advantage, smooth in D, is interpolated
 MEMORY = 2000  # steps after which what was paid is forgotten

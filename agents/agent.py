@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import importlib
 import itertools
 import json
 import math
@@ -28,6 +27,7 @@ import numpy.typing as npt
 
 from roadgym import files
 from roadgym.files import whole_file
+from roadgym.installation import InstallationError, needs, require
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 
@@ -69,15 +69,12 @@ def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
 
     Raises:
         ParameterError: an unknown algorithm.
-        AgentError: its package is not installed.
+        InstallationError: its package is not installed.
     """
     if algorithm not in ALGORITHMS:
         raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
     module, _, name = ALGORITHMS[algorithm].partition(".")
-    try:
-        found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError:
-        raise AgentError(f"{algorithm} needs the package {module}: pip install 'roadgym[recurrent]'") from None
+    found: type[BaseAlgorithm] = getattr(require(module, "recurrent" if module == "sb3_contrib" else "train"), name)
     return found
 
 
@@ -124,11 +121,12 @@ def load(folder: str | Path) -> Agent:
 
     Raises:
         AgentError: the folder holds no agent, or a damaged one.
+        InstallationError: a package that it needs is not installed.
     """
     path = Path(folder)
     description = read_description(path)
-    import torch
-
+    with needs("train"):
+        import torch
     torch.set_num_threads(1)  # as in training
     try:
         task = make_task(**description["environment"])
@@ -137,6 +135,8 @@ def load(folder: str | Path) -> Agent:
         seen, offered = model.observation_space.shape, agent.sight.space.shape
         if seen != offered:
             raise AgentError(f"its model sees {seen}, its environment offers {offered}")
+    except InstallationError:
+        raise
     except Exception as error:  # unpickling damaged files can raise anything
         raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
     return agent

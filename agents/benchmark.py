@@ -19,6 +19,7 @@ import gymnasium
 import numpy as np
 
 from roadgym import ENVIRONMENT_ID
+from roadgym.installation import needs
 from roadgym.plant import Plant
 from roadgym.task import LARGEST_ANGLE, make_task
 from roadgym.vector import QuarterCarVectorEnv
@@ -161,8 +162,8 @@ def single_step() -> Result:
 
 def adapter() -> Result:
     """The stable-baselines3 adapter against DummyVecEnv of as many single environments."""
-    from stable_baselines3.common.vec_env import DummyVecEnv
-
+    with needs("train"):
+        from stable_baselines3.common.vec_env import DummyVecEnv
     from .vec_env import QuarterCarVecEnv
 
     ours = QuarterCarVecEnv(64)
@@ -310,8 +311,8 @@ def scaling_table(rows: list[dict[str, float]]) -> str:
 
 def draw_scaling(rows: list[dict[str, float]], path: Path) -> None:
     """Time of a batch's step over its size, and of one environment's over the substeps, with lines of slope one."""
-    from matplotlib.figure import Figure
-
+    with needs("report"):
+        from matplotlib.figure import Figure
     from .figures import save_figure
 
     figure = Figure(figsize=(9.5, 4.2), layout="constrained")

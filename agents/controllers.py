@@ -266,13 +266,16 @@ class Scheduled(SemiActive):
     needs = (*STATE, "speed", "bandwidth")
 
     def __init__(self, task: Task) -> None:
-        super().__init__(task)
         if not has_advantage(task):
             what = "an ellipse" if task.speed_noise is None else f"{task.speed_noise.kind} speed noise"
             plant = what if task.road.shaping_filter() is not None else f"a {task.road.kind} road"
+            if not task.car.motion.is_one_mass:
+                plant = f"a {task.car.kind} car"
             raise ParameterError(
-                f"{type(self).__name__} needs a gaussian road, or multiplicative on a circle, at a constant speed; got {plant}"
+                f"{type(self).__name__} needs a car of one mass, on a gaussian road, or multiplicative on a circle, at a "
+                f"constant speed; got {plant}"
             )
+        super().__init__(task)
         self._forms: dict[tuple[float, float], Any] = {}
 
     @abc.abstractmethod
@@ -363,6 +366,7 @@ class OptimalFeedback(Scheduled):
     def __init__(self, task: Task) -> None:
         super().__init__(task)
         analysis.feedback.check_road(task.road)
+        analysis.feedback.check_car(task.car)
         if task.speed_noise is not None:
             raise ParameterError(f"optimal_feedback needs a constant speed, got {task.speed_noise.kind} speed noise")
         self.report: Callable[[str, int, int], None] | None = None

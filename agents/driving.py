@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.error import DependencyNotInstalled
-from PIL import Image
 
 from roadgym.env import QuarterCarEnv
 from roadgym.files import check_file, whole_file
+from roadgym.installation import needs
 from roadgym.parameters import ParameterError, positive, whole
 from roadgym.task import Task, make_task
 
@@ -143,20 +142,18 @@ def drive(
 
     Raises:
         ParameterError: a parameter out of range.
-        AgentError: a file that cannot be written, no display for a window, or a package that is not installed.
+        AgentError: a file that cannot be written, or no display for a window.
+        InstallationError: a package that it needs is not installed.
     """
     path = None if output is None else check_output(output)
     limit = None if seconds is None else max(1, round(positive("seconds", seconds) * FRAMES_PER_SECOND))
     point = {name: value for name, value in (("speed", speed), ("bandwidth", bandwidth)) if value is not None}
     whole("seed", seed, low=0)
-    try:
-        film = frames(drivers, environment, seed=seed, options=point)
-        if path is None:
-            return show(itertools.islice(film, limit))
-        total = limit or round(SECONDS * FRAMES_PER_SECOND)
-        write(path, counted(itertools.islice(film, total), path.name, total, report), total)
-    except DependencyNotInstalled as error:
-        raise AgentError(str(error)) from None
+    film = frames(drivers, environment, seed=seed, options=point)
+    if path is None:
+        return show(itertools.islice(film, limit))
+    total = limit or round(SECONDS * FRAMES_PER_SECOND)
+    write(path, counted(itertools.islice(film, total), path.name, total, report), total)
     return total
 
 
@@ -208,10 +205,8 @@ def write(path: Path, film: Iterator[Frame], total: int) -> None:
 
 def write_mp4(path: Path, film: Iterator[Frame], total: int) -> None:
     """H.264, which every browser plays."""
-    try:
+    with needs("render"):
         import imageio_ffmpeg
-    except ImportError:
-        raise DependencyNotInstalled("writing mp4 needs imageio-ffmpeg: pip install 'roadgym[render]'") from None
     first = next(film)
     writer = imageio_ffmpeg.write_frames(
         path, first.shape[1::-1], fps=FRAMES_PER_SECOND, codec="libx264", quality=6, ffmpeg_log_level="fatal"
@@ -232,6 +227,8 @@ def write_gif(path: Path, film: Iterator[Frame], total: int) -> None:
     """An endless GIF at 20 frames a second, every third of the film, in the colours of the picture and shades between them."""
     from roadgym import drawing, rendering
 
+    with needs("render"):
+        from PIL import Image
     colours = [rendering.damper_colour(share) for share in np.linspace(0, 1, 48)]
     for below in (np.array(drawing.PAPER), np.array(rendering.GROUND)):
         for stroke in (

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 import analysis
 from analysis.response import needs_simulation
 from roadgym.files import whole_file
+from roadgym.installation import needs
 from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -25,6 +23,11 @@ from .names import figure_label, file_names
 from .records import Purpose, stream_seed
 from .results import Comparison, Picture
 from .theory import optimum, road_at, theoretical_cost
+
+with needs("report"):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
 # Okabe and Ito's colours, told apart by readers with any colour vision, each with a mark of its own
 STYLES: dict[str, dict[str, Any]] = {

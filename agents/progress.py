@@ -1,20 +1,31 @@
-"""Progress on the terminal's error stream: a bar where there is a terminal, else a line now and then."""
+"""Progress on the error stream: a bar where there is a terminal, and rich to draw it; else a line now and then."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def _terminal() -> Console | None:
+    """The terminal that a bar is drawn on; None where there is none, or no rich."""
+    try:
+        from rich.console import Console
+    except ModuleNotFoundError:
+        return None
+    console = Console(stderr=True)
+    return console if console.is_terminal else None
 
 
 @contextlib.contextmanager
 def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
     """A function of (what, done, in all, remark)."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    console = _terminal()
+    if console is None:
         told: dict[str, int] = {}
 
         def tell(what: str, done: int, total: int, remark: str) -> None:
@@ -25,6 +36,8 @@ def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
 
         yield tell
         return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} {task.fields[remark]}"))
     with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
         bars: dict[str, object] = {}

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-import yaml
 
+from roadgym.installation import needs
 from roadgym.task import Task
 
 from .agent import Agent
@@ -231,6 +230,9 @@ def _configuration(comparison: Comparison) -> dict[str, Any]:
 
 def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     """The page, for a browser or for print; it asks the network for nothing."""
+    with needs("report"):
+        import jinja2
+        import yaml
     task = comparison.task
     groups = []
     for point in comparison.points:

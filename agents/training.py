@@ -11,17 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-import yaml
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecNormalize
 
 import roadgym
 from roadgym import files
+from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
@@ -55,6 +48,16 @@ from .records import (
     write_atomically,
 )
 from .vec_env import QuarterCarVecEnv
+
+with needs("train"):
+    import torch
+    import yaml
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.noise import NormalActionNoise
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+    from stable_baselines3.common.utils import LinearSchedule
+    from stable_baselines3.common.vec_env import VecNormalize
 
 __all__ = [  # with names that live in `agents.agent` and `agents.records`
     "ALGORITHMS",
@@ -294,6 +297,7 @@ def train(
     Raises:
         ParameterError: a parameter out of range.
         AgentError: the folder cannot be written, is in use by another training, holds an agent already, or none to resume.
+        InstallationError: a package that it needs is not installed.
     """
     whole("seed", seed, low=0)
     whole("checkpoint_interval", checkpoint_interval)
@@ -317,6 +321,8 @@ def train(
         }
     # a missing package or a wrong number is told before the folder is there
     algorithm_class(description["algorithm"])
+    if tensorboard:
+        require("tensorboard", "train")
     total = _total(description["hyperparameters"], timesteps)
     make_folder(path)
     with locked(path / LOCK, "training"):

@@ -18,11 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-import yaml
-from stable_baselines3.common.callbacks import BaseCallback
 
 import roadgym
+from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, whole
 from roadgym.task import Task, make_task
 
@@ -32,6 +30,11 @@ from .evaluation import evaluate, make_points
 from .records import Purpose, locked, make_folder, make_output, plain, stream_seed, write_atomically
 from .theory import optimum
 from .training import load_hyperparameters, make_model
+
+with needs("train"):
+    import torch
+    import yaml
+    from stable_baselines3.common.callbacks import BaseCallback
 
 if TYPE_CHECKING:
     import optuna
@@ -116,7 +119,8 @@ def tune(
 
     Raises:
         ParameterError: a parameter out of range, or a study of something else in the file.
-        AgentError: a package is missing, the file cannot be used or is in use, or every trial failed.
+        AgentError: the file cannot be used or is in use, or every trial failed.
+        InstallationError: a package that it needs is not installed.
     """
     optuna = _optuna()
     algorithm_class(algorithm)
@@ -173,10 +177,7 @@ def _held(package: Any, path: Path) -> Iterator[None]:
 
 
 def _optuna() -> Any:
-    try:
-        import optuna
-    except ModuleNotFoundError:
-        raise AgentError("tuning needs the package optuna: pip install 'roadgym[tune]'") from None
+    optuna = require("optuna", "tune")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
 

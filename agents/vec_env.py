@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.vec_env import VecEnv
 
+from roadgym.installation import needs
 from roadgym.parameters import ParameterError, shown, whole
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
@@ -19,6 +19,9 @@ from .actions import action_space
 from .actions import damping_from_action as damping_from_action
 from .features import Rows
 from .features import Sight as Sight
+
+with needs("train"):
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class QuarterCarVecEnv(VecEnv):

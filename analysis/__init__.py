@@ -50,6 +50,8 @@ __all__ = [
     "spectral_density",
 ]
 
+__distribution__ = "roadgym"  # by which roadgym tells this package from others of its name
+
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:

@@ -335,7 +335,10 @@ def _switching_lines(
     lines = []
     ways = {"D alternating": switching.alternate, "skyhook": switching.skyhook}
     if not switching.knows_state:
-        left_out.append(f"{what} by the state (of which the plant shows a part, or whose conditional moments are not known)")
+        why = (
+            "of which the plant shows a part, or whose conditional moments are not known, or which has no velocity for skyhook"
+        )
+        left_out.append(f"{what} by the state ({why})")
         del ways["skyhook"]
     for way, drive_way in ways.items():
         measured, expected = drive_way(None if report is None else _at(report, f"with {way}"))

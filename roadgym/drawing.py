@@ -7,7 +7,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import pygame
+
+from .installation import needs
+
+with needs("render"):
+    import pygame
 
 Colour = tuple[int, int, int]
 

@@ -53,7 +53,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
     - Rendering: with "rgb_array" `render` returns the picture, uint8, shape (640, 800, 3); with "human" a window shows it at
       every reset and step, 60 of them a second. `roadgym.rendering` says what is in it; its title is ``render_title``. This
-      needs pygame: ``pip install 'roadgym[render]'``.
+      needs pygame, of the extra ``render``.
 
     The parameters are those of `roadgym.task.make_task`. The noise depends on the seed, the number of resets since it was given
     and the step alone, so two controllers with the same seed meet the same road.

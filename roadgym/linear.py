@@ -72,9 +72,7 @@ class ShapingFilter:
     def spectrum(self, wavenumber: npt.ArrayLike) -> FloatArray:
         """Two-sided spectral density of the level over the angle, at wavenumbers over the road's; one operating point."""
         k = np.asarray(wavenumber, float)
-        gain = self.level @ np.linalg.solve(
-            1j * k[..., None, None] * np.eye(len(self.level)) - self.drift, self.noise.astype(complex)
-        )
+        gain = self.level @ np.linalg.inv(1j * k[..., None, None] * np.eye(len(self.level)) - self.drift) @ self.noise
         return np.asarray(np.sum(np.abs(gain) ** 2, axis=-1))
 
 
@@ -301,9 +299,7 @@ class LinearSystem:
         identity = np.eye(len(self.states))
         found = []
         for w in np.atleast_1d(np.asarray(frequency, float)).tolist():
-            gain = self.signals[name][..., None, :] @ np.linalg.solve(
-                1j * w * identity - self.drift, self.noise.astype(complex)
-            )
+            gain = self.signals[name][..., None, :] @ np.linalg.inv(1j * w * identity - self.drift) @ self.noise
             found.append(np.sum(np.abs(gain) ** 2, axis=(-2, -1)))
         return np.stack(found, axis=-1)
 

@@ -17,13 +17,31 @@ from .cars import Car
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
+from .record import (
+    COUNTERS,
+    DISABLED,
+    EPISODE,
+    NEXT_STEP,
+    OBSERVED_BANDWIDTH,
+    OBSERVED_SIGNAL,
+    OBSERVED_SPEED,
+    PLANT,
+    RESULT_BANDWIDTH,
+    RESULT_DAMPING,
+    RESULT_SPEED,
+    REWARD,
+    SAME_STEP,
+    SQUARES,
+    STEP,
+    interval_weights,
+)
 from .reward import divergent_terms
 from .roads import Road
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
 
 Floats = npt.NDArray[np.floating[Any]]
-AUTORESET = {"next_step": kernel.NEXT_STEP, "same_step": kernel.SAME_STEP, "disabled": kernel.DISABLED}
+AUTORESET = {"next_step": NEXT_STEP, "same_step": SAME_STEP, "disabled": DISABLED}
 BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
 
 # rows of the state that roads, speed noise and cars share (see `roadgym.compiled`)
@@ -111,30 +129,30 @@ class Interval:
     @property
     def reward(self) -> Floats:
         """Shape (num_envs,)."""
-        row: Floats = self._results[kernel.REWARD]
+        row: Floats = self._results[REWARD]
         return row
 
     @property
     def mean_squares(self) -> Floats:
         """Of the interval, over the variance of the road, shape (squares, num_envs), in the order of the car's."""
-        return self._results[kernel.SQUARES :]
+        return self._results[SQUARES:]
 
     @property
     def damping(self) -> Floats:
         """The damping ratios that were applied, shape (num_envs,)."""
-        row: Floats = self._results[kernel.RESULT_DAMPING]
+        row: Floats = self._results[RESULT_DAMPING]
         return row
 
     @property
     def frequency_ratio(self) -> Floats:
         """Of the mean speed, shape (num_envs,)."""
-        row: Floats = self._results[kernel.RESULT_SPEED]
+        row: Floats = self._results[RESULT_SPEED]
         return row
 
     @property
     def bandwidth(self) -> Floats:
         """Of the road, 0 where it has none, shape (num_envs,)."""
-        row: Floats = self._results[kernel.RESULT_BANDWIDTH]
+        row: Floats = self._results[RESULT_BANDWIDTH]
         return row
 
     def only(self) -> list[float]:
@@ -172,10 +190,10 @@ class Plant:
         self._car = COEFFICIENT + road.rows * LANES
         self._block_size = self._car + car.rows * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
-        self._counters = np.zeros(self.blocks * kernel.COUNTERS, np.uint32)
+        self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
         self._max_episode_steps = max_episode_steps
         self._autoreset = AUTORESET[autoreset]
-        self._observed, self._results = (num_envs, len(task.signals)), (kernel.SQUARES + len(task.weights), num_envs)
+        self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.weights), num_envs)
         self.started = False
 
         within(f"variance of the {road.kind} road", road.variance, "variance")
@@ -192,7 +210,7 @@ class Plant:
         infinite = divergent_terms(car, road, noise)
         self._constants: dict[str, npt.NDArray[Any]] = {
             "weights": np.array(task.weights, np.float64),
-            "shares": kernel.interval_weights(task.substeps),
+            "shares": interval_weights(task.substeps),
             "factors": np.ascontiguousarray(car.motion.rows, np.float64),
             "observed": np.array([self._observed_code(name) for name in task.signals], np.int64),
             "infinite": np.array([name in infinite for name in signals], np.int64),
@@ -203,15 +221,15 @@ class Plant:
         """How the kernel finds an observed signal."""
         signals = self.task.car.motion.signals
         if name in ("speed", "bandwidth"):
-            return kernel.OBSERVED_SPEED if name == "speed" else kernel.OBSERVED_BANDWIDTH
+            return OBSERVED_SPEED if name == "speed" else OBSERVED_BANDWIDTH
         if name not in signals or dict(signals[name].terms) == {name: 1.0}:  # as it is
             return self._offset(name)
-        return kernel.OBSERVED_SIGNAL - list(signals).index(name)
+        return OBSERVED_SIGNAL - list(signals).index(name)
 
     def _make_record(self) -> npt.NDArray[Any]:
         """The plant as the kernel knows it; its addresses belong to this process."""
         task, road, noise, car = self.task, self.task.road, self.task.speed_noise, self.task.car
-        record = np.zeros(1, kernel.PLANT)
+        record = np.zeros(1, PLANT)
         functions: dict[str, tuple[Road | SpeedNoise | Car, LaneFunction | None]] = {
             "road_prepare": (road, road.prepare),
             "road_start": (road, road.start),
@@ -291,7 +309,7 @@ class Plant:
         where = np.flatnonzero(mask)
         block, lane = np.divmod(where, LANES)
         counters[block, 0, lane], counters[block, 1, lane] = keys_from_seeds(seeds[where])
-        counters[block, kernel.EPISODE // LANES, lane] = np.uint32(0xFFFFFFFF)  # the reset makes it 0
+        counters[block, EPISODE // LANES, lane] = np.uint32(0xFFFFFFFF)  # the reset makes it 0
 
     def forced(self, options: dict[str, Any]) -> npt.NDArray[np.float64]:
         """The operating points that the options "speed" and "bandwidth" fix for the next episode; NaN where they do not.
@@ -332,7 +350,7 @@ class Plant:
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
         """One control interval with the damping ratios ``actions``, shape (num_envs,)."""
         observations = np.empty(self._observed, np.float32)
-        final = np.empty_like(observations) if self._autoreset == kernel.SAME_STEP else observations
+        final = np.empty_like(observations) if self._autoreset == SAME_STEP else observations
         results = np.empty(self._results, self.dtype)
         truncated = np.empty(self.num_envs, np.bool_)
         self._run(kernel.step_blocks, actions, observations, results, truncated, final)
@@ -357,12 +375,12 @@ class Plant:
     @property
     def elapsed_steps(self) -> npt.NDArray[np.int64]:
         """Control intervals since each environment's episode began, shape (num_envs,); can be set, to stagger their ends."""
-        return self._counter_rows[:, kernel.STEP // LANES].reshape(-1)[: self.num_envs].astype(np.int64)
+        return self._counter_rows[:, STEP // LANES].reshape(-1)[: self.num_envs].astype(np.int64)
 
     @elapsed_steps.setter
     def elapsed_steps(self, steps: npt.ArrayLike) -> None:
         padded = np.resize(np.broadcast_to(np.asarray(steps, np.uint32), self.num_envs), self.blocks * LANES)
-        self._counter_rows[:, kernel.STEP // LANES] = padded.reshape(self.blocks, LANES)
+        self._counter_rows[:, STEP // LANES] = padded.reshape(self.blocks, LANES)
 
     @property
     def _counter_rows(self) -> npt.NDArray[np.uint32]:

@@ -20,17 +20,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.error import DependencyNotInstalled
 
+from .drawing import BODY, BODY_HEIGHT, BODY_WIDTH, BRIDGE, GAP, GREY, INK, PAPER, WHEEL, Canvas, Colour
+from .installation import needs
 from .plant import Interval, Plant
 from .task import Task
 
-try:
+with needs("render"):
     import pygame
-except ImportError as error:
-    raise DependencyNotInstalled("drawing needs pygame: pip install 'roadgym[render]'") from error
-
-from .drawing import BODY, BODY_HEIGHT, BODY_WIDTH, BRIDGE, GAP, GREY, INK, PAPER, WHEEL, Canvas, Colour
 
 Floats = npt.NDArray[np.floating[Any]]
 

@@ -13,8 +13,8 @@ from gymnasium import spaces
 
 from .cars import Car, make_car
 from .compiled import LaneFunction
-from .kernel import OBSERVED
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
+from .record import OBSERVED
 from .reward import check_weights, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise

@@ -17,14 +17,14 @@ from agents.cli import main
 from roadgym import cache
 
 PACKAGE = Path(roadgym.__file__).parent
-# signal_row is in kernel.py, it is computed from a constant of compiled.py
+# signal_row is in signals.py, it is computed from a constant of compiled.py
 SCRATCH = """
 import numpy as np, roadgym
-from roadgym import kernel
+from roadgym import record, signals
 assert roadgym.__file__.startswith({0!r}), roadgym.__file__
-plant = np.zeros(1, kernel.PLANT)
+plant = np.zeros(1, record.PLANT)
 plant["signals"] = 20
-print(kernel.signal_row(plant[0]), len(kernel.signal_row.stats.cache_hits))
+print(signals.signal_row(plant[0]), len(signals.signal_row.stats.cache_hits))
 """
 
 

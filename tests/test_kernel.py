@@ -6,9 +6,9 @@ from scipy.linalg import expm
 
 import roadgym
 from roadgym.compiled import LANES
-from roadgym.kernel import COUNTERS, STEP, interval_weights
 from roadgym.parameters import PlantError
 from roadgym.plant import Plant
+from roadgym.record import COUNTERS, STEP, interval_weights
 from roadgym.task import make_task
 
 

@@ -165,7 +165,7 @@ def test_discrete_damping_takes_its_levels_only(tmp_path, levels):
 
 def test_missing_package_is_told_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    with pytest.raises(AgentError, match=r"recurrent_ppo needs .*: pip install 'roadgym\[recurrent\]'"):
+    with pytest.raises(ImportError, match=r"sb3_contrib is not installed, .*: pip install -e '.*\[recurrent\]'"):
         agents.train(tmp_path / "agent", algorithm="recurrent_ppo", environment=ENVIRONMENT)
     assert not (tmp_path / "agent").exists()
 

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from roadgym import ParameterError, PlantError
+from roadgym.installation import InstallationError
 
 from ..errors import AgentError
 from .options import environment_from
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code: int | None = chosen.run(chosen)
         print(end="", flush=True)
-    except (ParameterError, PlantError, AgentError) as error:
+    except (ParameterError, PlantError, AgentError, InstallationError) as error:
         return _fault(chosen.command, str(error))
     except KeyboardInterrupt:
         remedies = {

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from roadgym import ParameterError
+from roadgym.installation import require
 
 from .options import environment_from, refuse_environment
 
@@ -167,6 +168,8 @@ def run_compare(chosen: argparse.Namespace) -> None:
         learned, environment = {AGENT: []}, environment_from(chosen)
         whole("seeds", chosen.seeds)
     _check_evaluation(chosen, environment)
+    for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
+        require(package, extra)  # before the work
     folder = make_folder(chosen.output)
     with locked(folder / LOCK, "comparison"):
         remove_parts(folder)
@@ -262,6 +265,10 @@ def run_benchmark(chosen: argparse.Namespace) -> None:
     for name in names:
         if name not in CASES:
             raise ParameterError(f"unknown case {name!r}; known: {', '.join(CASES)}")
+    if {"adapter", "share_of_training"} & set(names):
+        require("stable_baselines3", "train")
+    if chosen.scaling and chosen.output:
+        require("matplotlib", "report")
     results = []
     for name in names:
         print(f"measuring {name}", file=sys.stderr, flush=True)

@@ -92,7 +92,7 @@ def add_training(parser: argparse.ArgumentParser, *, checkpoints: bool = True) -
     group.add_argument(
         "--algorithm",
         default="ppo",
-        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs roadgym[recurrent] (%(default)s)",
+        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent (%(default)s)",
     )
     group.add_argument(
         "--hyperparameters",

@@ -39,6 +39,6 @@ from .model import *
 from .policy import *
 from .policy import OptimalFeedback, Refinement, kept_files
 from .search import *
-from .search import check_road, optimal_feedback
+from .search import check_car, check_road, optimal_feedback
 
-__all__ = ["OptimalFeedback", "Refinement", "check_road", "kept_files", "optimal_feedback"]
+__all__ = ["OptimalFeedback", "Refinement", "check_car", "check_road", "kept_files", "optimal_feedback"]

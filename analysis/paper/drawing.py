@@ -7,7 +7,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy.typing as npt
-from matplotlib.figure import Figure
+
+from roadgym.installation import needs
+
+with needs("report"):
+    from matplotlib.figure import Figure
 
 # M. Okabe and K. Ito's colours, told apart by readers with any colour vision, each with a line style of its own
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (

@@ -18,10 +18,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LogNorm, PowerNorm
 
 from roadgym.files import make_folder, whole_file
+from roadgym.installation import needs
 from roadgym.parameters import ParameterError, shown, whole
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road
 from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -46,6 +45,10 @@ from .drawing import (
 from .euler_maruyama import simulate
 from .rotating_frame import mean_amplitude
 from .stability_figures import figure_11, figure_12, figure_13, figure_14
+
+with needs("report"):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import LogNorm, PowerNorm
 
 FULL_SAMPLES, FULL_SPEEDS = 20_000_000, 41  # of Fig. 7, as in the paper
 QUICK_SAMPLES, QUICK_SPEEDS = 400_000, 21

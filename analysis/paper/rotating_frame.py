@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from roadgym.parameters import ParameterError, within
 from roadgym.roads import HarmonicRoad
-from roadgym.speed import HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise, make_speed_noise
+from roadgym.speed import SpeedNoise, make_speed_noise
 
 from ..checks import ComplexArray, FloatArray, broadcast, one_of, range_array
 from ..phase_noise import mean_transfer
@@ -85,7 +85,9 @@ def moment_system(
         damping=range_array("damping", damping, "constant damping"), speed=checked_speed(speed, road, w1)
     )
     sign = {"closure": -1.0, "printed": 1.0}[one_of("form", form, FORMS[1:])]
-    white = noise.intensity**2 / 2 if isinstance(noise, (WhiteSpeedNoise, HighPassSpeedNoise)) else 0.0
+    strength = 0.0 if noise is None else noise.intensity**2 / 2  # w_g E Psi^2, where a filter makes Psi
+    corner, back, share = (0.0, 0.0, 0.0) if noise is None else noise.rates
+    white = share * strength
     turn = wavenumber * speed
 
     matrix = turn[..., np.newaxis, np.newaxis] * ROTATION
@@ -96,12 +98,9 @@ def moment_system(
     forcing = np.zeros((*turn.shape, 4))
     forcing[..., 2] = amplitude * (w1 - sign * 2 * damping * white)
     forcing[..., 3] = -amplitude * 2 * damping * turn
-    if not isinstance(noise, (LowPassSpeedNoise, HighPassSpeedNoise)):
+    if corner == 0:
         return MomentSystem(matrix=matrix, forcing=forcing)
 
-    strength = noise.intensity**2 / 2  # w_g E Psi^2
-    corner = noise.corner_frequency
-    back = corner if isinstance(noise, LowPassSpeedNoise) else -corner
     full = np.zeros((*turn.shape, 8, 8))
     full[..., :4, :4] = matrix
     full[..., :4, 4:] = back * ROTATION

@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
+
+from roadgym.installation import needs
 
 from ..checks import FloatArray
 from .drawing import BLACK, BLUE, GREEN, PRINTED, SPEED_LABEL, STABLE, STYLE, VERMILION, Drawing, Report, Table, panels
 from .stability import critical_noise, rotation_numbers
+
+with needs("report"):
+    from matplotlib.figure import Figure
 
 
 def stability_angles(damping: float, share: complex, time: FloatArray) -> tuple[FloatArray, FloatArray]:

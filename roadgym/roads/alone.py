@@ -42,6 +42,7 @@ def sample_road(
     from ..compiled import COEFFICIENT, LANES
     from ..noise import fill_words, keys_from_seeds
     from ..plant import lane_address, padded_table
+    from ..record import COUNTERS, PLANT
     from ..task import check_component
     from . import make_road
 
@@ -58,14 +59,14 @@ def sample_road(
     dtype, blocks = np.dtype(float), -(-number // LANES)
     size = COEFFICIENT + made.rows * LANES
     table = padded_table(f"table of the {made.kind} road", made.table(), dtype)
-    plant = np.zeros(1, kernel.PLANT)
+    plant = np.zeros(1, PLANT)
     for role in ("prepare", "start", "advance"):
         plant[f"road_{role}"] = lane_address(made, getattr(made, role), dtype)
     plant["road_table"], plant["fill_words"] = table.ctypes.data, fill_words.address(np.uint32)
     plant["road_words"], plant["block_size"], plant["substep"] = made.words_per_substep, size, angle
     plant["speed_low"] = plant["speed_high"] = 1.0
     plant["bandwidth_low"] = plant["bandwidth_high"] = bandwidth
-    counters = np.zeros((blocks, kernel.COUNTERS // LANES, LANES), np.uint32)
+    counters = np.zeros((blocks, COUNTERS // LANES, LANES), np.uint32)
     seeds = np.uint64(seed) + np.arange(blocks * LANES, dtype=np.uint64)
     counters[:, :2] = keys_from_seeds(seeds).reshape(2, blocks, LANES).swapaxes(0, 1)
     levels, slopes = np.empty((points, number)), np.empty((points, number))

@@ -1,0 +1,59 @@
+"""How compiled code knows a plant, and where it counts and reports.
+
+What differs between plants is only which lane functions are called, by address, and how many rows and words they take: the
+record `PLANT` holds all that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .compiled import LANES
+
+NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
+
+# A plant as compiled code knows it, one record. Addresses belong to this process. Times are in units of 1/w1.
+PLANT = np.dtype(
+    [
+        # lane functions and the tables of their components; 0 where there is none
+        *((name, np.uint64) for name in ("road_prepare", "road_start", "road_advance", "road_table")),
+        *((name, np.uint64) for name in ("speed_start", "speed_advance", "speed_table")),
+        *((name, np.uint64) for name in ("car_prepare", "car_advance", "car_table", "fill_words")),
+        # addresses of 64-bit numbers: weights of the mean squares in the reward, `interval_weights`, and `Motion.rows`; and of
+        # 64-bit integers: what is observed, a row of the block or one of the codes below, and whether a mean square is infinite
+        *((name, np.uint64) for name in ("weights", "shares", "factors", "observed", "infinite")),
+        ("path", np.uint64),  # address of rows for the angle and the level of each substep of each block, see `Plant.trace`
+        # how many of each there are, in a block where it is of rows
+        *((name, np.int64) for name in ("substeps", "road_words", "speed_words", "states", "signals", "squared", "relative")),
+        *((name, np.int64) for name in ("observations", "block_size", "car", "work", "warm_up_steps", "max_episode_steps")),
+        ("autoreset", np.int64),
+        *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),
+        *((name, np.float64) for name in ("bandwidth_low", "bandwidth_high", "warm_up_damping", "saturation")),
+    ]
+)
+OBSERVED = ("level", "slope", "speed", "bandwidth")  # what is observed beside the signals of the car
+OBSERVED_SPEED, OBSERVED_BANDWIDTH, OBSERVED_SIGNAL = -1, -2, -3  # the last and below: signals of the car, one after the other
+
+
+def interval_weights(substeps: int) -> npt.NDArray[np.float64]:
+    """Shares of the ends of ``substeps`` equal substeps in a mean over the interval, shape (substeps + 1,); their sum is 1.
+
+    Gregory's rule with second differences, exact for cubics; 1/6, 4/6, 1/6 for two substeps, and the trapezoidal rule for one.
+    Source: F. B. Hildebrand, Introduction to Numerical Analysis, 1974, section 5.9.
+    """
+    weights = np.ones(substeps + 1)
+    if substeps > 1:
+        weights[:3] += (-5 / 8, 1 / 6, -1 / 24)
+        weights[-3:] += (-1 / 24, 1 / 6, -5 / 8)
+    else:
+        weights -= 0.5
+    return weights / substeps
+
+
+# rows of the counters of a block; the first four are what `noise.fill_words` expects
+KEY, EPISODE, STEP, PENDING = 0 * LANES, 2 * LANES, 3 * LANES, 4 * LANES
+COUNTERS = 5 * LANES
+
+# rows of the results: what a step reports of each environment; from SQUARES on the mean squares
+REWARD, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, SQUARES = range(5)

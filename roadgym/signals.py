@@ -1,0 +1,196 @@
+"""What the kernel makes of the state of a block: signals, mean squares, observations, and the report of an interval.
+
+``work``, the numbers of an interval of one block, has the rows of `roadgym.compiled`, those of the car, then the squares of the
+signals that the car does not square itself, and rows for the signal in hand and for the relative velocity.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .compiled import (
+    BANDWIDTH,
+    DAMPING,
+    INVERSE_SUBSTEP,
+    LANES,
+    LEVEL,
+    RATE,
+    SHARE,
+    SLOPE,
+    SPEED,
+    SUBSTEP,
+    WORK,
+    compiled,
+    like,
+    pointer,
+)
+from .record import (
+    OBSERVED_BANDWIDTH,
+    OBSERVED_SIGNAL,
+    OBSERVED_SPEED,
+    RESULT_BANDWIDTH,
+    RESULT_DAMPING,
+    RESULT_SPEED,
+    REWARD,
+    SQUARES,
+)
+
+
+@compiled
+def row_of(block: Any, offset: int) -> Any:
+    """A pointer to a row of a block; compiled code goes along it without a look at its sign and at the array's end."""
+    return pointer(block.ctypes.data + np.uint64(block.itemsize * offset), block)
+
+
+@compiled
+def square_row(plant: Any, k: int) -> int:
+    """Where ``work`` has the mean square of signal ``k``."""
+    return WORK + k * LANES if k < plant.squared else plant.work + (k - plant.squared) * LANES
+
+
+@compiled
+def signal_row(plant: Any) -> int:
+    """Where ``work`` has the signal in hand."""
+    return int(plant.work + (plant.signals - plant.squared) * LANES)
+
+
+@compiled
+def new_work(plant: Any, state: Any) -> Any:
+    """The numbers of an interval of one block, with its constants in place."""
+    work = np.zeros(signal_row(plant) + 2 * LANES, state.dtype)
+    work[SUBSTEP] = plant.substep
+    work[INVERSE_SUBSTEP] = 1.0 / plant.substep
+    return work
+
+
+@compiled
+def add_row(target: Any, source: Any, factor: Any, fresh: bool) -> None:
+    """Set a row to ``factor`` times another, or add that to it."""
+    if fresh:
+        for i in range(LANES):
+            target[i] = factor * source[i]
+    else:
+        for i in range(LANES):
+            target[i] += factor * source[i]
+
+
+@compiled
+def write_smooth(plant: Any, lanes: Any, k: int, row: Any) -> None:
+    """Write signal ``k``, but for the damper's force, to a row."""
+    factors, first = pointer(plant.factors, 0.0), k * (plant.states + 3)
+    fresh = True
+    for j in range(plant.states + 1):
+        factor = like(lanes, factors[first + j])
+        if factor != 0:
+            add_row(row, row_of(lanes, plant.car + j * LANES if j < plant.states else LEVEL), factor, fresh)
+            fresh = False
+    factor = like(lanes, factors[first + plant.states + 1])
+    if fresh or factor != 0:
+        for i in range(LANES):
+            rate = factor * (lanes[RATE + i] * lanes[SLOPE + i])
+            row[i] = rate if fresh else row[i] + rate
+
+
+@compiled
+def write_signal(plant: Any, lanes: Any, work: Any, k: int) -> Any:
+    """Write signal ``k`` of the car to the row that is returned."""
+    row, relative = row_of(work, signal_row(plant)), row_of(work, signal_row(plant) + LANES)
+    write_smooth(plant, lanes, k, row)
+    force = like(lanes, 2.0 * pointer(plant.factors, 0.0)[k * (plant.states + 3) + plant.states + 2])
+    if force != 0:
+        write_smooth(plant, lanes, plant.relative, relative)
+        for i in range(LANES):
+            row[i] += force * work[DAMPING + i] * relative[i]
+    return row
+
+
+@compiled
+def add_squares(plant: Any, lanes: Any, work: Any, fresh: bool) -> None:
+    """Set, or add to, the mean squares of the signals that the car does not square itself."""
+    share = work[SHARE]
+    for k in range(plant.squared, plant.signals):
+        row = write_signal(plant, lanes, work, k)
+        for i in range(LANES):
+            row[i] *= row[i]
+        add_row(row_of(work, square_row(plant, k)), row, share, fresh)
+
+
+@compiled
+def clip(value: Any, low: Any, high: Any) -> Any:
+    """``value`` kept within [low, high]; the built-in min and max would not vectorise here."""
+    value = value if value > low else low
+    return value if value < high else high
+
+
+@compiled
+def observe_block(plant: Any, lanes: Any, work: Any, observations: Any, first: int, count: int) -> None:
+    """Write what is observed of the first ``count`` lanes to the rows from ``first`` of ``observations``."""
+    one, two = like(lanes, 1.0), like(lanes, 2.0)
+    high = like(lanes, plant.saturation)
+    low = -high
+    observed, number = pointer(plant.observed, np.int64(0)), plant.observations
+    own, target = row_of(work, signal_row(plant)), row_of(observations, first * number)
+    for j in range(number):
+        what, row = observed[j], own
+        if what >= 0:
+            row = row_of(lanes, what)
+        elif what == OBSERVED_SPEED:
+            for i in range(LANES):
+                own[i] = lanes[SPEED + i] / (one + lanes[SPEED + i])
+        elif what == OBSERVED_BANDWIDTH:
+            for i in range(LANES):
+                own[i] = two * lanes[BANDWIDTH + i] / (one + two * lanes[BANDWIDTH + i])
+        else:
+            write_signal(plant, lanes, work, OBSERVED_SIGNAL - what)
+        place = j
+        for i in range(count):
+            target[place] = clip(row[i], low, high)
+            place += number
+
+
+@compiled
+def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count: int) -> Any:
+    """Copy a row of a block into a row of the results; tells whether a number in it is not finite."""
+    target = results[row, first : first + count]
+    values = source[offset : offset + count]
+    unsound = np.int32(0)
+    for i in range(count):
+        value = values[i]
+        target[i] = value
+        unsound |= np.int32(value - value != 0)
+    return unsound
+
+
+@compiled
+def report_block(plant: Any, lanes: Any, work: Any, results: Any, first: int, count: int) -> int:
+    """Write reward, mean squares, damping and operating point of the finished interval.
+
+    Returns:
+        The first environment of the block in which a number is not finite, or -1.
+    """
+    weights, infinite, cost = pointer(plant.weights, 0.0), pointer(plant.infinite, np.int64(0)), signal_row(plant)
+    fresh, unsound = True, np.int32(0)
+    for k in range(plant.signals):
+        square, weight = square_row(plant, k), like(lanes, -weights[k])
+        unsound |= copy_row(work, square, results, SQUARES + k, first, count)
+        if weight != 0:
+            add_row(row_of(work, cost), row_of(work, square), weight, fresh)
+            fresh = False
+    unsound |= copy_row(work, cost, results, REWARD, first, count)
+    copy_row(work, DAMPING, results, RESULT_DAMPING, first, count)
+    copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
+    copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+    found = -1
+    if unsound:
+        for i in range(first, first + count):
+            sound = np.isfinite(results[REWARD, i])
+            for k in range(plant.signals):
+                sound = sound and np.isfinite(results[SQUARES + k, i])
+            if not sound and found < 0:
+                found = i
+    for k in range(plant.signals):
+        if infinite[k]:
+            results[SQUARES + k, first : first + count] = np.inf
+    return found
