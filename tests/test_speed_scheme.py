@@ -68,7 +68,10 @@ def one_substep(task, damping, state, road_normals, speed_normals):
     work = np.zeros((one_mass.DECAY_22 + LANES, columns))
     work[[rows.SUBSTEP, rows.INVERSE_SUBSTEP]] = np.array([[interval], [1 / interval]])
     work[rows.DAMPING : rows.DAMPING + LANES] = damping
-    one_mass.prepare.function(Vectors(block), Vectors(states), Vectors(work), None)
+    decay = one_mass.free_decay(damping, interval, np.zeros(1))
+    for row, value in zip((one_mass.DECAY_11, one_mass.DECAY_12, one_mass.DECAY_22), decay, strict=True):
+        work[row : row + LANES] = value
+    work[one_mass.PREVIOUS_LEVEL : one_mass.PREVIOUS_LEVEL + LANES] = block[rows.LEVEL : rows.LEVEL + LANES]
     with given_normals():
         if noise is not None:
             table = noise.table(interval, task.car.natural_frequency, road)
