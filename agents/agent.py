@@ -26,14 +26,17 @@ import numpy as np
 import numpy.typing as npt
 
 from roadgym import files
+from roadgym.component import import_modules
 from roadgym.files import whole_file
 from roadgym.installation import InstallationError, needs, require
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
+from roadgym.vector import QuarterCarVectorEnv
 
 from .actions import damping_from_action
 from .errors import AgentError
 from .features import Sight
+from .wrappers import ActionLayer, learning, wrap
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -94,6 +97,11 @@ class Agent:
         hyperparameters = description["hyperparameters"]
         self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
         self.damping_levels = hyperparameters.get("damping_levels")
+        self._layers: list[ActionLayer] = []
+        if hyperparameters.get("wrappers"):
+            batch = QuarterCarVectorEnv(1, threads=1, **description["environment"])
+            learned = learning(batch, features=None, damping_levels=self.damping_levels, training_reward="cost")
+            _, self._layers = wrap(learned, hyperparameters["wrappers"])
 
     def predict(
         self,
@@ -111,6 +119,8 @@ class Agent:
         frames, memory = (None, None) if state is None else state
         frames = self.sight.stack(frames, rows, episode_start)
         action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
+        for layer in self._layers:
+            action = layer.actions(action)
         damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
         remembered = None if frames is None and memory is None else (frames, memory)
         return damping.reshape((*observation.shape[:-1], 1)), remembered
@@ -129,7 +139,7 @@ def load(folder: str | Path) -> Agent:
         import torch
     torch.set_num_threads(1)  # as in training
     try:
-        task = make_task(**description["environment"])
+        task = task_of(description)
         model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")
         agent = Agent(model, description, task)
         seen, offered = model.observation_space.shape, agent.sight.space.shape
@@ -140,6 +150,21 @@ def load(folder: str | Path) -> Agent:
     except Exception as error:  # unpickling damaged files can raise anything
         raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
     return agent
+
+
+def task_of(description: Mapping[str, Any]) -> Task:
+    """The task of an agent from its description; modules that it names are imported where a component of it is not known.
+
+    Raises:
+        ParameterError: a component that stays unknown, or a module that cannot be imported.
+    """
+    try:
+        return make_task(**description["environment"])
+    except ParameterError:
+        if not description.get("imports"):
+            raise
+    import_modules(description["imports"])
+    return make_task(**description["environment"])
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -166,6 +191,8 @@ def read_description(path: Path) -> dict[str, Any]:
         isinstance(statistics.get(key), (int, float)) and math.isfinite(statistics[key]) for key in STATISTICS
     ):
         raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'reward_statistics'")
+    if not isinstance(imports := description.get("imports", []), list) or not all(isinstance(name, str) for name in imports):
+        raise AgentError(f"the agent in {str(path)!r} is damaged: its {DESCRIPTION} has no sound 'imports'")
     model = path / description["model"]
     if not MODEL.fullmatch(description["model"]) or not zipfile.is_zipfile(model):
         raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name!r} is missing or not a model file")

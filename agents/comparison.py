@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,13 +14,13 @@ from roadgym.task import Task, make_task
 from .agent import Agent
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller
 from .evaluation import Predictor, evaluate
-from .names import name_folders
+from .names import name_folders, title
+from .progress import work_progress
 from .records import make_folder, plain, versions, write_atomically
 from .report import (
-    TITLES,
     above,
     adjusted_by,
-    columns,
+    blocks,
     make_report,
     mean_gap_closed,
     notes,
@@ -55,7 +56,6 @@ __all__ = [  # with names that live in `agents.results` and `agents.report`
     "LEAST_ROOM",
     "RIVALS",
     "SPEEDS",
-    "TITLES",
     "Comparison",
     "MeanGap",
     "Row",
@@ -63,7 +63,7 @@ __all__ = [  # with names that live in `agents.results` and `agents.report`
     "above",
     "adjusted_by",
     "best_feedbacks",
-    "columns",
+    "blocks",
     "compare",
     "constant_damping",
     "error_over_seeds",
@@ -118,7 +118,7 @@ def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], d
             raise ParameterError(f"agents must have one environment, but for what they observe; {group[0]!r} has another one")
     if len(groups) == 1:
         return {AGENT: list(agents.values())}, plants[0]
-    names = name_folders([group[0] for group in groups], {*CONTROLLERS, *TITLES, *TITLES.values()})
+    names = name_folders([group[0] for group in groups], {AGENT, *CONTROLLERS, *map(title, CONTROLLERS)})
     return {name: [agents[folder] for folder in group] for name, group in zip(names, groups, strict=True)}, plants[0]
 
 
@@ -159,7 +159,8 @@ def compare(
         speeds, bandwidths: the grid of operating points, m/s and 1.
         controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS` that the plant
             allows.
-        episodes, seed, report: as for `agents.evaluate`.
+        episodes, seed: as for `agents.evaluate`.
+        report: called as ``report(what, done, in all)``; by default progress is told on the error stream.
 
     Raises:
         ParameterError: a parameter out of range, or a signal missing that a controller needs.
@@ -168,23 +169,24 @@ def compare(
     plant = observed_in_full(environment)
     task = make_task(**plant)
     rivals = make_rivals(task, controllers)
-    for rival in rivals.values():
-        if isinstance(rival, OptimalFeedback):
-            rival.report = report
     drivers: dict[str, Predictor] = {}
     for name, seeds in named.items():
         if name in rivals or not seeds:
             raise ParameterError(f"agents must have names of their own and at least one agent each, got {name!r}")
         drivers.update({f"{name}, seed {k + 1} of {len(seeds)}": agent for k, agent in enumerate(seeds)})
-    evaluations = evaluate(
-        {**drivers, **rivals},
-        environment=plant,
-        speeds=speeds,
-        bandwidths=bandwidths,
-        episodes=episodes,
-        seed=seed,
-        report=report,
-    )
+    with work_progress() if report is None else contextlib.nullcontext(report) as tell:
+        for rival in rivals.values():
+            if isinstance(rival, OptimalFeedback):
+                rival.report = tell
+        evaluations = evaluate(
+            {**drivers, **rivals},
+            environment=plant,
+            speeds=speeds,
+            bandwidths=bandwidths,
+            episodes=episodes,
+            seed=seed,
+            report=tell,
+        )
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
     rows, references = make_rows(task, learned, evaluations)
@@ -226,4 +228,5 @@ def write(comparison: Comparison, folder: str | Path, report: Callable[[str, int
     }
     for name, content in contents.items():
         write_atomically(path / name, content)
-    return [*(path / name for name in contents), *(figure.path for figure in figures)]
+    drawn = [file for figure in figures for file in (figure.path, figure.narrow) if file is not None]
+    return [*(path / name for name in contents), *drawn]

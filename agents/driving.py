@@ -21,7 +21,7 @@ from roadgym.task import Task, make_task
 from .agent import Agent, load
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
-from .evaluation import Predictor, observed_by
+from .evaluation import Predictor, answers, observed_by
 from .names import printable, shortened
 from .records import Purpose, stream_seed
 
@@ -99,22 +99,22 @@ def frames(
     """
     from roadgym.rendering import share_scales
 
-    cars: list[tuple[QuarterCarEnv, Predictor, list[Any]]] = []
+    cars: list[tuple[QuarterCarEnv, Callable[..., Any], list[Any]]] = []
     task = make_task(**environment)
     for title, driver in drivers:
         seen = {"observation": list(observed_by(driver, task)), "observe_operating_point": False}  # each its own signals
         env = QuarterCarEnv(render_mode="rgb_array", **{**environment, **seen})
         env.render_title = shortened(printable(title))
         observation, _ = env.reset(seed=stream_seed(seed, Purpose.FILM), options=options)
-        cars.append((env, driver, [observation, None]))
+        cars.append((env, answers(driver, env.task), [observation, None]))
     for step in itertools.count():
         share_scales([env.history for env, _, _ in cars if env.history])
         pictures = [np.asarray(env.render()) for env, _, _ in cars]
         for picture in pictures[1:]:
             picture[:, 0] = 200  # a thin line between them
         yield np.hstack(pictures)
-        for env, driver, memory in cars:
-            damping, memory[1] = driver.predict(memory[0][None], memory[1], np.array([step == 0]), deterministic=True)
+        for env, predict, memory in cars:
+            damping, memory[1] = predict(memory[0][None], memory[1], np.array([step == 0]), deterministic=True)
             memory[0] = env.step(damping[0])[0]
 
 

@@ -18,6 +18,8 @@ from roadgym.parameters import ParameterError, non_negative, positive, whole
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
+from .actions import damping_reader
+from .names import title
 from .records import Purpose, stream_seed
 
 FEWEST_EPISODES = 16  # a standard error from fewer is itself uncertain by more than a fifth
@@ -26,13 +28,15 @@ FEWEST_EPISODES = 16  # a standard error from fewer is itself uncertain by more 
 class Predictor(Protocol):
     """What is evaluated: anything with ``predict``.
 
-    Where it has an attribute ``task``, it is handed the signals that its task observes, else those of the environment.
+    Where it has an attribute ``task``, it is handed the signals that its task observes, else those of the environment. Where it
+    has an ``action_space``, as the models of stable-baselines3 have, its answers are mapped onto damping ratios; see
+    `agents.actions.damping_reader`.
     """
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
-        """(D, state) for observations."""
+        """(D, or the action that stands for it, and state) for observations."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,6 +134,21 @@ def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
     return own.signals
 
 
+def answers(controller: Predictor, task: Task) -> Callable[..., tuple[npt.NDArray[np.float32], Any]]:
+    """The controller's ``predict``, whose answers are damping ratios in the range of ``task``; any other raises in use.
+
+    Raises:
+        ParameterError: an action space that cannot be mapped onto the range.
+    """
+    read = damping_reader(getattr(controller, "action_space", None), task.damping_range)
+
+    def predict(*arguments: Any, **named: Any) -> tuple[npt.NDArray[np.float32], Any]:
+        action, state = controller.predict(*arguments, **named)
+        return read(action), state
+
+    return predict
+
+
 def drive(
     controller: Predictor, envs: QuarterCarVectorEnv, seed: int, options: Mapping[str, Any]
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any], dict[str, Any]]]:
@@ -142,8 +161,9 @@ def drive(
     columns = [column[signal] for signal in observed_by(controller, envs.task)]
     observations, _ = envs.reset(seed=seed, options=dict(options))
     state, start = None, np.ones(envs.num_envs, np.bool_)
+    predict = answers(controller, envs.task)
     while True:
-        damping, state = controller.predict(observations[:, columns], state, start, deterministic=True)
+        damping, state = predict(observations[:, columns], state, start, deterministic=True)
         start = np.zeros(envs.num_envs, np.bool_)
         before = observations
         observations, rewards, _, _, infos = envs.step(damping)
@@ -206,6 +226,7 @@ def evaluate(
 
     def driven(name: str, controller: Predictor) -> tuple[npt.NDArray[np.float64], ...]:
         """Costs, squares and switches, as of `Evaluation`."""
+        turn = next(turns)
         total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
         steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options)
@@ -217,13 +238,14 @@ def evaluate(
                     square += infos[signal]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
-                report(f"driving {name}", step + 1, skipped + measured)
+                report(f"driving {turn} of {len(constants) + len(controllers)}: {title(name)}", step + 1, skipped + measured)
         return (
             (total / measured).reshape(shape),
             (squares / (measured * task.road.variance)).reshape(-1, *shape),
             switches.reshape(shape).mean(axis=1) / (measured * task.control_interval),
         )
 
+    turns = itertools.count(1)
     constants = control_dampings(task, skipped * task.control_interval, episodes)
     controls = np.array([driven(f"constant D = {damping:.2g}", _Constant(damping))[1] for damping in constants])
     theory = [expected_squares(task, constants, point.speed, point.bandwidth) for point in points] if constants else []

@@ -20,7 +20,7 @@ from roadgym.parameters import ParameterError, shown, whole
 from roadgym.task import OPERATING_POINT, Task
 
 from .advantage import STATE, advantage_forms, has_advantage
-from .theory import NODES, OperatingGrid
+from .theory import NODES, OperatingGrid, remembered
 
 Rows = npt.NDArray[np.float32]
 
@@ -79,24 +79,30 @@ class Features:
         return np.concatenate(parts, axis=1, dtype=np.float32)
 
 
+@remembered
+def _lookahead_table(task: Task) -> npt.NDArray[np.float32]:
+    """Coefficients of the products of two signals, and constants, of both advantages at the nodes of `OperatingGrid`."""
+    grid, (low, high) = OperatingGrid.of(task), task.damping_range
+    points = (grid.damping.ravel(), grid.ratio.ravel(), grid.bandwidth.ravel())
+    forms, constants = advantage_forms(task, [low, (low + high) / 2, high], *points)
+    first, second = np.triu_indices(4)
+    table = np.empty((NODES**2, 2, len(first) + 1))
+    table[..., :-1] = (forms[:, :0:-1] - forms[:, :1])[..., first, second] * np.where(first == second, 1, 2)
+    table[..., -1] = constants[:, :0:-1] - constants[:, :1]
+    # of order one where the signals are
+    table /= np.sqrt(np.square(table[:, :1, :-1]).sum(axis=-1, keepdims=True))
+    return table.reshape(NODES, NODES, 2, -1).astype(np.float32)
+
+
 class _Lookahead:
     """Advantages of the firmest and of the middle damping over the softest, interpolated between operating points."""
 
     def __init__(self, task: Task) -> None:
         self._columns = [task.signals.index(name) for name in STATE]
         self._point = [task.signals.index(name) for name in OPERATING_POINT]
-        self._grid = grid = OperatingGrid(task)
-        low, high = task.damping_range
-        points = (grid.damping.ravel(), grid.ratio.ravel(), grid.bandwidth.ravel())
-        forms, constants = advantage_forms(task, [low, (low + high) / 2, high], *points)
+        self._grid = OperatingGrid.of(task)
         self._first, self._second = np.triu_indices(4)
-        table = np.empty((NODES**2, 2, len(self._first) + 1))
-        twice = np.where(self._first == self._second, 1, 2)
-        table[..., :-1] = (forms[:, :0:-1] - forms[:, :1])[..., self._first, self._second] * twice
-        table[..., -1] = constants[:, :0:-1] - constants[:, :1]
-        # of order one where the signals are
-        table /= np.sqrt(np.square(table[:, :1, :-1]).sum(axis=-1, keepdims=True))
-        self._table = table.reshape(NODES, NODES, 2, -1).astype(np.float32)
+        self._table = _lookahead_table(task)
         self._points = np.empty((0, 2), np.float32)
         self._forms = np.empty((0, *self._table.shape[2:]), np.float32)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,8 @@ from roadgym.task import OPERATING_POINT, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 from .controllers import OptimalFeedback
-from .evaluation import OperatingPoint, Predictor, drive, evaluate, observed_by
-from .names import figure_label, file_names
+from .evaluation import OperatingPoint, Predictor, answers, drive, evaluate, observed_by
+from .names import figure_label, file_names, title
 from .records import Purpose, stream_seed
 from .results import Comparison, Picture
 from .theory import optimum, road_at, theoretical_cost
@@ -40,19 +41,6 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 LEARNED = ("#D55E00", "#56B4E9", "#882255", "#117733")
 OTHERS = ("x", "+", "1", "2", "3", "4", "|")
-LABELS = {
-    "analytic_optimum": "best constant $D$",
-    "d_min": "$D_{\\min}$",
-    "d_max": "$D_{\\max}$",
-    "skyhook": "on-off skyhook",
-    "skyhook_continuous": "continuous skyhook",
-    "add": "ADD",
-    "mixed_skyhook_add": "mixed skyhook-ADD",
-    "least_acceleration": "least acceleration",
-    "clipped_lqr": "clipped LQR",
-    "one_step_lookahead": "one-step lookahead",
-    "optimal_feedback": "optimal feedback",
-}
 FRONT = (0.1, 0.3, 1.0, 3.0, 10.0)  # factors of the first weight along the front of the optimal feedbacks
 Report = Callable[[str, int, int], None]
 
@@ -73,7 +61,9 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
     pictures = [
         Picture(
             draw_cost_over_speed(comparison, folder / "cost_over_speed.png"),
-            "Cost over the frequency ratio. Marks: driven, with two standard errors. Full lines: theory.",
+            "Cost over the frequency ratio ν, the speed in units of natural frequency over wavenumber. Marks: driven, with two "
+            "standard errors. Full lines: theory.",
+            draw_cost_over_speed(comparison, folder / "cost_over_speed_narrow.png", narrow=True),
         )
     ]
     endings = file_names(comparison.agents)
@@ -100,12 +90,19 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(part, dpi=150)
 
 
-def draw_cost_over_speed(comparison: Comparison, path: Path) -> Path:
-    """Measured costs with error bars over the frequency ratio, and theory's curves for the constant dampings."""
+def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = False) -> Path:
+    """Measured costs with error bars over the frequency ratio, and theory's curves for the constant dampings.
+
+    A panel for each bandwidth, side by side, or one under the other for a ``narrow`` screen.
+    """
     task = comparison.task
     bandwidths = sorted({point.bandwidth for point in comparison.points})
-    figure = Figure(figsize=(5.2 * len(bandwidths) + 0.6, 4.6), layout="constrained")
-    axes = figure.subplots(1, len(bandwidths), sharey=True, squeeze=False)[0]
+    number = len(bandwidths)
+    shown = len(comparison.controllers)
+    lines_of_legend = math.ceil(shown / (2 if narrow else 3 * number))
+    size = (4.2, 2.9 * number + 0.5) if narrow else (5.2 * number + 0.6, 4.6)
+    figure = Figure(figsize=(size[0], size[1] + 0.2 * lines_of_legend), layout="constrained")
+    axes = figure.subplots(*((number, 1) if narrow else (1, number)), sharex=True, sharey=True, squeeze=False).flatten()
     speeds = sorted({point.speed for point in comparison.points})
     fine = np.linspace(speeds[0], speeds[-1], 80)
     for axis, bandwidth in zip(axes, bandwidths, strict=True):
@@ -121,7 +118,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> Path:
                 linestyle="none" if rows[0].theory is not None else "--",
                 linewidth=1.2,
                 capsize=2,
-                label=LABELS.get(name) or figure_label(name),
+                label=figure_label(title(name)),
                 **look,
             )
             if rows[0].theory is not None:
@@ -135,12 +132,19 @@ def draw_cost_over_speed(comparison: Comparison, path: Path) -> Path:
                 ]
                 axis.plot(task.frequency_ratio(fine), curve, color=look["color"], linewidth=1.2)
         axis.set_yscale("log")
-        axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
         axis.set_title(f"bandwidth $\\delta = {bandwidth:g}$" if bandwidth else task.road.kind)
         axis.grid(visible=True, which="both", linewidth=0.3)
-    axes[0].set_ylabel("cost: weighted mean square over $E\\,Z^2$")
-    axes[0].legend(
-        title="marks: driven, ± 2 standard errors\nlines: theory (dashed: a guide to the eye)", fontsize=8, title_fontsize=8
+    for axis in axes[-1:] if narrow else axes:
+        axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
+    for axis in axes if narrow else axes[:1]:
+        axis.set_ylabel("cost over $E\\,Z^2$" if narrow else "cost: weighted mean square over $E\\,Z^2$")
+    figure.legend(  # beside the panels, so that it covers nothing
+        *axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=math.ceil(shown / lines_of_legend),
+        fontsize=8,
+        title="marks: driven, ± 2 standard errors; lines: theory" + ("\n" if narrow else " ") + "(dashed: a guide to the eye)",
+        title_fontsize=8,
     )
     save_figure(figure, path)
     return path
@@ -223,18 +227,17 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
         best = [optimum(task, speed, bandwidth) for speed in speeds.tolist()]
         colour = ("#0072B2", "#009E73", "#CC79A7", "#E69F00")[number % 4]
         label = f"$\\delta = {bandwidth:g}$" if bandwidth else task.road.kind
-        left.plot(ratios, [point.damping for point in best], color=colour, label=f"analytic, {label}")
+        look: dict[str, Any] = {"color": colour, "marker": "osD^"[number % 4], "markevery": (3 * number, 12), "markersize": 4}
+        left.plot(ratios, [point.damping for point in best], label=f"analytic, {label}", **look)
         for agent in agents:
             point = {"speed": ratios / (1 + ratios), "bandwidth": np.full(len(speeds), 2 * bandwidth / (1 + 2 * bandwidth))}
             seen = np.stack([point[signal] for signal in observed_by(agent, task)], axis=1).astype(np.float32)
-            damping = agent.predict(seen)[0][:, 0]
+            damping = answers(agent, task)(seen)[0][:, 0]
             pairs = zip(speeds.tolist(), damping.tolist(), strict=True)
             costs = [theoretical_cost(task, d, speed, bandwidth) for speed, d in pairs]
             excess = np.array(costs) / [float(point.cost) for point in best] - 1
-            left.plot(
-                ratios, damping, "--", color=colour, linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None
-            )
-            right.plot(ratios, 100 * excess, color=colour, label=label if agent is agents[0] else None)
+            left.plot(ratios, damping, "--", linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None, **look)
+            right.plot(ratios, 100 * excess, "--", linewidth=1.2, **look)
             if excess.max() > largest:
                 largest, place = float(excess.max()), OperatingPoint(float(speeds[excess.argmax()]), bandwidth)
     left.set_ylabel("damping ratio $D$")
@@ -242,7 +245,7 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
     for axis in (left, right):
         axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
         axis.grid(visible=True, linewidth=0.3)
-        axis.legend(fontsize=8)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2 * len(bandwidths), fontsize=8)
     save_figure(figure, path)
     at = f"nu = {task.frequency_ratio(place.speed):.3g}" + (f", delta = {place.bandwidth:g}" if place.bandwidth else "")
     who = name if len(agents) == 1 else f"the {len(agents)} training seeds of {name}"
@@ -319,7 +322,7 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
         row = comparison.row(name, point)
         place = [row.squares[signal] for signal in names]
         look = {"markersize": 8, **style(comparison, name)}
-        axis.plot(*place, linestyle="none", label=LABELS.get(name) or figure_label(name), **look)
+        axis.plot(*place, linestyle="none", label=figure_label(title(name)), **look)
         xs.append(place[0])
         ys.append(place[1])
     axis.set_xscale("log")

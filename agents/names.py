@@ -1,4 +1,7 @@
-"""Names of learned controllers, made from the folders of their agents: one for each, and fit to be shown anywhere."""
+"""What things are called wherever they are shown: one name for each controller, in tables, pictures and pages alike.
+
+A learned controller is named by its agents' folders, in a form that is fit to be shown anywhere.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,31 @@ from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 LONGEST = 40  # letters
+CONTROLLERS_SHOWN = {  # by the name in `agents.CONTROLLERS`: the name that is shown, and what it does
+    "agent": ("agent", "learned: sets D from what it observes"),
+    "analytic_optimum": ("best constant D", "a passive suspension, the constant D that costs least by theory at this point"),
+    "d_min": ("D_min", "the softest damping all the time"),
+    "d_max": ("D_max", "the firmest damping all the time"),
+    "skyhook": ("skyhook", "D_max where the damper would brake the body, else D_min"),
+    "skyhook_continuous": (
+        "continuous skyhook",
+        "the force of a damper between body and sky, as far as the damper can give it",
+    ),
+    "add": ("ADD", "acceleration-driven: D_max where the damper would reduce the body's acceleration, else D_min"),
+    "mixed_skyhook_add": ("mixed skyhook-ADD", "skyhook where the body moves slowly, ADD where it moves fast"),
+    "least_acceleration": ("least acceleration", "the D that makes the body's acceleration least at this instant"),
+    "clipped_lqr": ("clipped LQR", "the best linear active force, as far as the damper can give it"),
+    "one_step_lookahead": (
+        "one-step lookahead",
+        "the D that is best for one interval if the best constant D took over after it",
+    ),
+    "optimal_feedback": ("optimal feedback", "the least cost for who sees the whole state, by dynamic programming"),
+}
+
+
+def title(controller: str) -> str:
+    """The name of a controller that is shown, its own where it has no other."""
+    return CONTROLLERS_SHOWN[controller][0] if controller in CONTROLLERS_SHOWN else controller
 
 
 def printable(text: str) -> str:

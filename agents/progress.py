@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
@@ -21,17 +22,21 @@ def _terminal() -> Console | None:
     return console if console.is_terminal else None
 
 
+SECONDS = 10.0  # between lines on one piece of work, where there is no terminal
+
+
 @contextlib.contextmanager
 def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
     """A function of (what, done, in all, remark)."""
     console = _terminal()
     if console is None:
-        told: dict[str, int] = {}
+        told, finished = time.monotonic(), set()
 
         def tell(what: str, done: int, total: int, remark: str) -> None:
-            quarter = 4 * done // total
-            if told.get(what, 0) < quarter:
-                told[what] = quarter
+            nonlocal told
+            if what not in finished and (done == total or time.monotonic() - told > SECONDS):
+                told = time.monotonic()
+                finished.update([what] if done == total else [])
                 print(f"{what}: {done} of {total}{remark and ', ' + remark}", file=sys.stderr, flush=True)
 
         yield tell

@@ -1,9 +1,11 @@
-"""How a comparison reads: as a table of text, and as one page of HTML with everything in it."""
+"""How a comparison reads: as tables of text, and as one page of HTML with everything in it."""
 
 from __future__ import annotations
 
 import base64
-import dataclasses
+import inspect
+import re
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,35 +16,31 @@ from roadgym.installation import needs
 from roadgym.task import Task
 
 from .agent import Agent
+from .controllers import CONTROLLERS
 from .evaluation import Predictor
 from .features import has_lookahead
-from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
+from .names import CONTROLLERS_SHOWN, title
+from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Share
 
 TEMPLATE = Path(__file__).with_name("report.html")
-TITLES = {
-    "agent": "agent",
-    "analytic_optimum": "best constant D",
-    "d_min": "D_min",
-    "d_max": "D_max",
-    "skyhook": "skyhook",
-    "skyhook_continuous": "cont. skyhook",
-    "add": "ADD",
-    "mixed_skyhook_add": "mixed SH-ADD",
-    "least_acceleration": "least acc.",
-    "clipped_lqr": "clipped LQR",
-    "one_step_lookahead": "lookahead",
-    "optimal_feedback": "optimal",
-}
+WIDTH = 80  # columns of the table of text
+NUMBER = re.compile(r"-?\d")
 
 
 def percent(share: Share | None) -> str:
-    """A share in per cent with half its confidence interval, or n/a."""
+    """A share in per cent with half its confidence interval, or n/a; no number where it is a loss of more than all."""
+    if share is None:
+        return "n/a"
+    if share.value < -1:
+        return "< -100 %"
     # adding 0 makes 0.0 of -0.0
-    return "n/a" if share is None else f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f}%"
+    return f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f} %"
 
 
 def above(share: Share) -> str:
-    """By how much a cost is above, or below, in per cent with half its confidence interval."""
+    """What a cost is to one that it is compared with, from the share that it is above: in per cent, or as a multiple."""
+    if share.value > 1:
+        return f"{1 + share.value:.3g} times"
     if share.value >= 0:
         return f"{percent(share)} above"
     return f"{percent(Share(-share.value, -share.high, -share.low))} below"
@@ -53,60 +51,96 @@ def weighted(task: Task) -> str:
     return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
 
 
-def notes(comparison: Comparison) -> list[str]:
-    """What the columns mean, a sentence each."""
+def notes(comparison: Comparison) -> list[tuple[str, str]]:
+    """What is in the tables, in order: a term, and a sentence on it."""
     low, high = comparison.task.damping_range
-    lines = [
-        f"cost: mean square of {weighted(comparison.task)} over E Z^2, with the standard error of the last digits in brackets; "
-        f"D within [{low:g}, {high:g}].",
-        f"gain: share of the cost of the best constant D that is saved. Intervals are of {100 * CONFIDENCE:g} % confidence.",
+    found = [
+        (
+            "nu",
+            "frequency ratio, the speed in units of natural frequency over wavenumber: at 1 the road's waves excite resonance.",
+        )
     ]
-    variates = comparison.configuration.get("control_variates")
-    if variates:
-        lines.append(adjusted_by(variates))
-        away = [(row.driven_cost - row.theory) / row.driven_standard_error for row in comparison.rows if row.theory is not None]
-        lines.append(
-            f"As driven, without that adjustment, the {len(away)} costs of constant D in this table are within "
-            f"{max(map(abs, away)):.1f} standard errors of theory."
-        )
+    if comparison.task.bandwidth[1] > 0:
+        found.append(("delta", "bandwidth of the road: near 0 it is a sine, the larger the less regular."))
+    found += [
+        ("D", f"damping ratio of the car, within [{low:g}, {high:g}]; what a controller sets."),
+        (
+            "cost",
+            f"mean square of {weighted(comparison.task)} over that of the road, E Z^2; in brackets the standard error of the "
+            "last digits.",
+        ),
+    ]
+    if any(row.theory is not None for row in comparison.rows):
+        found.append(("theory", "the exact cost of a constant D."))
     if any(name is not None for name in comparison.references):
-        kinds = " or ".join(dict.fromkeys(TITLES.get(name, name) for name in comparison.references if name is not None))
-        lines.append(
-            f"gap closed: share of the way from the best constant D to the best known feedback ({kinds}); over 100 % where "
-            f"that is beaten, n/a where it saves less than {100 * LEAST_ROOM:g} %. The mean counts all other "
-            "points alike, with negative shares too."
+        kinds = " or ".join(dict.fromkeys(title(name) for name in comparison.references if name is not None))
+        found.append(
+            (
+                "gap closed",
+                f"share of the way from the best constant D to the best known feedback, {kinds}, with its "
+                f"{100 * CONFIDENCE:g} % interval; over 100 % where that is beaten, n/a where it saves less than "
+                f"{100 * LEAST_ROOM:g} %. The mean counts all other points alike, with negative shares too.",
+            )
         )
+    else:
+        found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
     for name, seeds in comparison.agents.items():
         given = theory_given(seeds[0])
-        if given is not None:
-            lines.append(f"{name} {given}")
-        lines.append(
-            f"{name}: mean of {len(seeds)} training seeds."
+        training = (
+            f"Mean of {len(seeds)} training seeds."
             if len(seeds) > 1
-            else f"{name}: one training seed; the intervals do not hold what another seed would change."
+            else "One training seed; the intervals do not hold what another seed would change."
         )
-    return lines
+        found.append((name, " ".join([*([given] if given else []), training])))
+    variates = comparison.configuration.get("control_variates")
+    if variates:
+        away = [(row.driven_cost - row.theory) / row.driven_standard_error for row in comparison.rows if row.theory is not None]
+        found.append(
+            (
+                "less noise",
+                f"{adjusted_by(variates)} As driven, without that adjustment, the {len(away)} costs of constant D are within "
+                f"{max(map(abs, away)):.1f} standard errors of theory.",
+            )
+        )
+    return found
 
 
-def columns(comparison: Comparison) -> list[tuple[str, str, list[str]]]:
-    """The table as columns: title of the controller, of the column, and a cell for each operating point."""
+def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]]]]:
+    """What the table shows: a title, and under it columns of a label and a cell for each operating point.
+
+    The operating points come first, then what the comparison is about: learned controllers, the best constant damping, and the
+    optimal feedback.
+    """
     task, points = comparison.task, comparison.points
-    found = [("nu", "", [f"{task.frequency_ratio(point.speed):g}" for point in points])]
+    where = [("nu", [f"{task.frequency_ratio(point.speed):g}" for point in points])]
     if task.bandwidth[1] > 0:
-        found.append(("delta", "", [f"{point.bandwidth:g}" for point in points]))
-    for name in comparison.controllers:
+        where.append(("delta", [f"{point.bandwidth:g}" for point in points]))
+    found = [("", where)]
+    first = [*comparison.agents, "analytic_optimum", "optimal_feedback"]
+    for name in sorted(comparison.controllers, key=lambda name: first.index(name) if name in first else len(first)):
         rows = [comparison.row(name, point) for point in points]
-        found.append((TITLES.get(name, name), "cost", [with_error(row.cost, row.standard_error) for row in rows]))
+        under = [("cost", [with_error(row.cost, row.standard_error) for row in rows])]
         if name == "analytic_optimum":
             if rows[0].theory is not None:
-                found.append(("", "theory", [f"{row.theory:.4f}" for row in rows]))
-            found.append(("", "D", [f"{row.damping:.3f}" for row in rows]))
+                under.insert(0, ("theory", [f"{row.theory:.4f}" for row in rows]))
+            under.insert(0, ("D", [f"{row.damping:.3f}" for row in rows]))
         if name in comparison.agents:
-            if any(comparison.references):
-                found.append(("", "gap closed", [percent(row.gap_closed) for row in rows]))
-            else:
-                found.append(("", "gain", [percent(row.gain) for row in rows]))
+            closed = any(comparison.references)
+            share = [percent(row.gap_closed if closed else row.gain) for row in rows]
+            under.append(("gap closed" if closed else "gain", share))
+        found.append((title(name), under))
     return found
+
+
+def aligned(cells: Sequence[str]) -> list[str]:
+    """The cells in one width, numbers with their decimal points under each other, other text at the right."""
+    parts = [cell.partition(".") if NUMBER.match(cell) else ("", "", "") for cell in cells]
+    left, right = (max(len(part) for part in side) for side in ([p[0] for p in parts], [p[1] + p[2] for p in parts]))
+    width = max(left + right, *map(len, cells))
+    return [
+        (part[0].rjust(left) + (part[1] + part[2]).ljust(right) if part[0] else cell).rjust(width)
+        for cell, part in zip(cells, parts, strict=True)
+    ]
 
 
 def theory_given(agent: Predictor) -> str | None:
@@ -140,7 +174,12 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
         over = (
             f"all {total} operating points" if not left else f"the {len(gap.points)} of {total} operating points that have one"
         )
-        text = f"{name} closes {percent(gap.closed)} of the gap on average over {over}."
+        closes = f"closes {percent(gap.closed)} of the gap"
+        if gap.closed.value < 0:
+            closes = f"closes none of the gap ({percent(gap.closed)})"
+        kinds = {name for name in comparison.references if name is not None}
+        best = "optimal feedback" if kinds == {"optimal_feedback"} else "best known feedback"
+        text = f"{name} {closes} from the best constant D to the {best}, on average over {over}."
     if gap.loss is not None and gap.largest_loss is not None and gap.largest_at is not None:
         place = f"nu = {comparison.task.frequency_ratio(gap.largest_at.speed):g}"
         place += f", delta = {gap.largest_at.bandwidth:g}" if gap.largest_at.bandwidth else ""
@@ -152,38 +191,37 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
 
 
 def table(comparison: Comparison) -> str:
-    """The comparison as text: one line an operating point, costs with the standard error of their last digits in brackets."""
-    found = columns(comparison)
-    head, under = [title for title, _, _ in found], [label for _, label, _ in found]
-    lines = [head, under, *(list(cells) for cells in zip(*(cells for _, _, cells in found), strict=True))]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    # a title may reach into the columns that belong to it
-    for i, title in enumerate(head):
-        if title and i + 1 < len(head) and not head[i + 1]:
-            widths[i] = max(len(line[i]) for line in lines[1:])
+    """The comparison as text of `WIDTH` columns: tables one under the other, a line an operating point, and what they show."""
+    where, *rest = (_laid_out(name, columns) for name, columns in blocks(comparison))
+    tables = [[where]]
+    for block in rest:
+        if sum(len(part[0]) + 2 for part in tables[-1]) + len(block[0]) > WIDTH and len(tables[-1]) > 1:
+            tables.append([where])
+        tables[-1].append(block)
     text = []
-    for number, line in enumerate(lines):
-        if number == 0:
-            text.append(_title_line(head, widths))
-        else:
-            text.append("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
-        if number == 1:
-            text.append("-" * max(map(len, text)))
-    text.append("")
-    text += [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
-    return "\n".join([*text, *notes(comparison)])
+    for blocks_beside in tables:
+        high = max(map(len, blocks_beside))
+        whole = [[" " * len(block[0])] * (high - len(block)) + block for block in blocks_beside]
+        lines = ["  ".join(parts).rstrip() for parts in zip(*whole, strict=True)]
+        lines.insert(len(lines) - len(comparison.points), "-" * max(map(len, lines)))
+        text += [*lines, ""]
+    said = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
+    shares = () if comparison.agents else ("gap closed", "gain")  # columns that are on the page alone
+    said += [f"{term}: {sentence}" for term, sentence in notes(comparison) if term not in shares]
+    return "\n".join(text + [textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said])
 
 
-def _title_line(head: Sequence[str], widths: Sequence[int]) -> str:
-    """Titles, each right-aligned over its own column and the untitled ones after it."""
-    cells, i = [], 0
-    while i < len(head):
-        j = i + 1
-        while j < len(head) and not head[j]:
-            j += 1
-        cells.append(head[i].center(sum(widths[i:j]) + 2 * (j - i - 1)) if j > i + 1 else head[i].rjust(widths[i]))
-        i = j
-    return "  ".join(cells).rstrip()
+def _laid_out(name: str, columns: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
+    """A block as lines of one width: its title in as many lines as that takes, the labels, and the cells."""
+    cells = [aligned(cells) for _, cells in columns]
+    labels = [label for label, _ in columns]
+    cells = [[cell.rjust(len(label)) for cell in column] for label, column in zip(labels, cells, strict=True)]
+    body = ["  ".join(line) for line in zip(*cells, strict=True)]
+    under = "  ".join(label.rjust(len(column[0])) for label, column in zip(labels, cells, strict=True))
+    width = max(len(under), len("lookahead")) if name and len(columns) == 1 else len(under)
+    head = textwrap.wrap(name, width) if name else []
+    place = str.rjust if len(columns) == 1 else str.center
+    return [*(place(line, width) for line in head), *(line.rjust(width) for line in [under, *body])]
 
 
 def with_error(value: float, error: float) -> str:
@@ -194,26 +232,52 @@ def with_error(value: float, error: float) -> str:
     return f"{value:.{digits}f}({round(error * 10**digits)})"
 
 
-@dataclasses.dataclass(frozen=True)
-class Group:
-    """All controllers at one operating point."""
+def _tables(comparison: Comparison) -> list[dict[str, Any]]:
+    """The two tables of the page, costs and mean squares: heads, and for each operating point rows of aligned cells."""
+    task, rows = comparison.task, comparison.rows
+    closed = any(comparison.references)
+    costs = {"cost": [with_error(row.cost, row.standard_error) for row in rows]}
+    if any(row.theory is not None for row in rows):
+        costs["theory"] = ["" if row.theory is None else f"{row.theory:.4f}" for row in rows]
+    if closed:
+        costs["gap closed"] = [percent(row.gap_closed) for row in rows]
+    else:
+        costs["gain"] = [percent(row.gain) for row in rows]
+    squares = {"switches": [f"{row.switches:.2f}" for row in rows]}
+    for name in rows[0].squares:
+        squares[name.replace("_", " ")] = [
+            f"{row.squares[name]:.4f}" if np.isfinite(row.squares[name]) else "infinite" for row in rows
+        ]
+    found = []
+    for columns in (costs, squares):
+        cells = list(zip(*map(aligned, columns.values()), strict=True))
+        groups = []
+        for point in comparison.points:
+            heading = f"ν = {task.frequency_ratio(point.speed):g}" + (f", δ = {point.bandwidth:g}" if point.bandwidth else "")
+            lines = [
+                {
+                    "name": title(row.controller) + ("" if row.damping is None else f" = {row.damping:.3g}"),
+                    "learned": row.controller in comparison.agents,
+                    "cells": cells[number],
+                }
+                for number, row in enumerate(rows)
+                if row.point == point
+            ]
+            groups.append({"heading": heading, "rows": lines})
+        found.append({"heads": list(columns), "groups": groups})
+    return found
 
-    heading: str
-    rows: list[dict[str, Any]]
 
-
-def _cells(comparison: Comparison, row: Row) -> dict[str, Any]:
-    return {
-        "name": TITLES.get(row.controller, row.controller),
-        "learned": row.controller in comparison.agents,
-        "cost": with_error(row.cost, row.standard_error),
-        "theory": "" if row.theory is None else f"{row.theory:.4f}",
-        "damping": "" if row.damping is None else f"{row.damping:.3f}",
-        "gain": percent(row.gain),
-        "gap": percent(row.gap_closed),
-        "switches": f"{row.switches:.2f}",
-        "squares": [f"{value:.4g}" for value in row.squares.values()],
-    }
+def _controllers(comparison: Comparison) -> list[tuple[str, str, str]]:
+    """(name shown, name in commands and files or nothing, what it does) of each controller."""
+    found = []
+    for name in comparison.controllers:
+        learned = name in comparison.agents
+        meaning = CONTROLLERS_SHOWN["agent" if learned else name][1] if learned or name in CONTROLLERS_SHOWN else ""
+        if not meaning and name in CONTROLLERS:  # somebody's own
+            meaning = (inspect.getdoc(CONTROLLERS[name]) or "").partition("\n")[0]
+        found.append((title(name), "" if learned else name, meaning))
+    return found
 
 
 def _configuration(comparison: Comparison) -> dict[str, Any]:
@@ -234,22 +298,33 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
         import jinja2
         import yaml
     task = comparison.task
-    groups = []
-    for point in comparison.points:
-        heading = f"ν = {task.frequency_ratio(point.speed):g}" + (f", δ = {point.bandwidth:g}" if point.bandwidth else "")
-        rows = [comparison.row(name, point) for name in comparison.controllers]
-        groups.append(Group(heading, [_cells(comparison, row) for row in rows]))
+    greek = {"nu": "ν", "delta": "δ"}
+    drawn = [
+        {
+            "data": _encoded(picture.path),
+            "narrow": None if picture.narrow is None else _encoded(picture.narrow),
+            "caption": picture.caption,
+        }
+        for picture in pictures
+    ]
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    costs, squares = _tables(comparison)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         cost=weighted(task),
+        displacement_alone=list(task.weights_by_name.items()) == [("displacement", 1.0)],
         means=[mean_gap_closed(comparison, name) for name in comparison.mean_gaps],
-        groups=groups,
-        squares=list(comparison.rows[0].squares),
-        notes=notes(comparison),
-        pictures=[
-            {"data": base64.b64encode(picture.path.read_bytes()).decode(), "caption": picture.caption} for picture in pictures
-        ],
+        controllers=_controllers(comparison),
+        points=len(comparison.points),
+        episodes=comparison.configuration["episodes"],
+        costs=costs,
+        squares=squares,
+        notes=[(greek.get(term, term), sentence.replace("E Z^2", "E\u00a0Z²")) for term, sentence in notes(comparison)],
+        pictures=drawn,
         configuration=yaml.safe_dump(_configuration(comparison), sort_keys=False, allow_unicode=True, default_flow_style=None),
         versions=comparison.configuration["versions"],
         written=comparison.configuration["written"],
     )
+
+
+def _encoded(path: Path) -> str:
+    return base64.b64encode(path.read_bytes()).decode()

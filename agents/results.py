@@ -144,10 +144,11 @@ class Comparison:
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """A picture that was written: its file, and what it shows."""
+    """A picture that was written: its file, what it shows, and the file of the same for a narrow screen, if it needs one."""
 
     path: Path
     caption: str
+    narrow: Path | None = None
 
 
 def flat(row: Row) -> dict[str, Any]:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,6 +14,23 @@ from roadgym.roads import Road
 from roadgym.task import Task
 
 NODES = 17  # over the speed, and over the bandwidth
+
+Result = TypeVar("Result")
+
+
+def remembered(function: Callable[[Task], Result]) -> Callable[[Task], Result]:
+    """``function``, with its last results kept: hundreds of single environments of one task ask for the same."""
+    kept = functools.lru_cache(maxsize=8)(function)
+
+    @functools.wraps(function)
+    def asked(task: Task) -> Result:
+        try:
+            hash(task)
+        except TypeError:  # a road of one's own that holds a list
+            return function(task)
+        return kept(task)
+
+    return asked
 
 
 def road_at(task: Task, bandwidth: float) -> Road:
@@ -60,6 +81,12 @@ class OperatingGrid:
         speed = 1 / task.frequency_ratio(1.0)
         pairs = zip(self.ratio.ravel().tolist(), self.bandwidth.ravel().tolist(), strict=True)
         self.damping = np.array([float(optimum(task, nu * speed, delta).damping) for nu, delta in pairs]).reshape(NODES, NODES)
+
+    @staticmethod
+    @remembered
+    def of(task: Task) -> OperatingGrid:
+        """The grid of ``task``, which may be one that was asked for before."""
+        return OperatingGrid(task)
 
     def place(self, shares: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
         """Where observed operating points lie, in steps from the first node, shape (n, 2) as ``shares``; within the grid."""

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import itertools
+import contextlib
+import inspect
 import json
+import logging
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import roadgym
 from roadgym import files
 from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
-from .advantage import has_advantage
-from .advantage_reward import AdvantageReward
 from .agent import (
     ALGORITHMS,
     CONTENT,
@@ -33,8 +32,11 @@ from .agent import (
     load,
     read_description,
     save,
+    task_of,
 )
 from .errors import AgentError
+from .hyperparameters import HYPERPARAMETERS, load_hyperparameters
+from .progress import training_progress
 from .records import (
     LOCK,
     PACKAGES,
@@ -48,12 +50,13 @@ from .records import (
     write_atomically,
 )
 from .vec_env import QuarterCarVecEnv
+from .wrappers import training_reward, wrapper_name
 
 with needs("train"):
     import torch
-    import yaml
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     from stable_baselines3.common.utils import LinearSchedule
@@ -82,6 +85,7 @@ __all__ = [  # with names that live in `agents.agent` and `agents.records`
     "make_model",
     "make_output",
     "plain",
+    "rollout",
     "save",
     "silent",
     "stream_seed",
@@ -102,61 +106,9 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "policy_kwargs",
     "noise_std",
     "training_reward",
+    "wrappers",
 )
-LARGEST_FILE = 1_000_000  # bytes of a file of hyperparameters, those shipped take 2000
-MOST_NODES = 10_000  # numbers, texts and lists in it, its aliases written out
-HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
-
-
-def load_hyperparameters(algorithm: str, file: str | Path | None = None) -> dict[str, Any]:
-    """Hyperparameters of ``algorithm`` for this environment.
-
-    Args:
-        algorithm: a key of `ALGORITHMS`.
-        file: a YAML file, or the name of one of those in `HYPERPARAMETERS`, such as "ppo_stacked"; by default the algorithm's.
-
-    Raises:
-        ParameterError: an unknown algorithm, or a file that holds no hyperparameters for this environment.
-    """
-    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
-        name = algorithm if isinstance(algorithm, str) else type(algorithm).__name__
-        raise ParameterError(f"unknown algorithm {name!r}; known: {', '.join(ALGORITHMS)}")
-    chosen = algorithm if file is None else file
-    shipped = [path.stem for path in sorted(HYPERPARAMETERS.glob("*.yaml"))]
-    path = HYPERPARAMETERS / f"{chosen}.yaml" if str(chosen) in shipped else Path(chosen)
-    try:
-        content = _read_yaml(path)
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ParameterError(
-            f"cannot read hyperparameters from {str(path)!r}: {reason}; by name there are: {', '.join(shipped)}"
-        ) from None
-    found = content.get(roadgym.ENVIRONMENT_ID) if isinstance(content, dict) else None
-    if not isinstance(found, dict):
-        raise ParameterError(f"{str(path)!r} holds no hyperparameters for {roadgym.ENVIRONMENT_ID}")
-    return found
-
-
-def _read_yaml(path: Path) -> Any:
-    """The content of a YAML file, of a size that hyperparameters can have; ValueError where it is larger."""
-    with path.open("rb") as file:
-        text = file.read(LARGEST_FILE + 1)
-    if len(text) > LARGEST_FILE:
-        raise ValueError(f"it has more than {LARGEST_FILE} bytes")
-    node = yaml.compose(text.decode("utf-8"), yaml.SafeLoader)
-    sizes: dict[int, int] = {}
-
-    def size(node: yaml.Node) -> int:
-        """Number of nodes under ``node``, each as often as it is named."""
-        if id(node) not in sizes:
-            sizes[id(node)] = MOST_NODES + 1  # what it has if it holds itself
-            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-            sizes[id(node)] = 1 + sum(map(size, itertools.chain(*parts) if isinstance(node, yaml.MappingNode) else parts))
-        return sizes[id(node)]
-
-    if node is not None and size(node) > MOST_NODES:
-        raise ValueError(f"it has more than {MOST_NODES} entries, its aliases written out")
-    return yaml.safe_load(text)
+LARGEST_SEED = 2**32 - 1  # of torch and NumPy, which stable-baselines3 seeds
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -199,19 +151,28 @@ def make_model(
     except (TypeError, ValueError, AssertionError) as error:
         raise ParameterError(f"hyperparameters of {algorithm}: {' '.join(str(error).split())}") from None
     envs.seed(training_seed(seed, 0))
+    return _without_log(model, log)
+
+
+def _without_log(model: BaseAlgorithm, log: Path | None) -> BaseAlgorithm:
+    """The model, which would make a temporary folder where it has no log to write, and leave it behind."""
+    if log is None:
+        model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 
 
-def training_reward(hyperparameters: Mapping[str, Any], task: Task) -> str:
-    """What is learned from: "cost", or "advantage" where the hyperparameters ask for it and theory knows it on this plant.
+def rollout(algorithm: str, hyperparameters: Mapping[str, Any]) -> int:
+    """Control intervals over all environments between two updates: what is trained for is a multiple of it.
 
     Raises:
-        ParameterError: hyperparameters that ask for something else.
+        ParameterError: an unknown algorithm, or a number of environments or steps that is none.
     """
-    chosen = hyperparameters.get("training_reward", "cost")
-    if chosen not in ("cost", "advantage"):
-        raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
-    return chosen if has_advantage(task) else "cost"
+    kind = algorithm_class(algorithm)
+    name = "train_freq" if issubclass(kind, OffPolicyAlgorithm) else "n_steps"
+    steps = hyperparameters.get(name, inspect.signature(kind).parameters[name].default)
+    if isinstance(steps, (list, tuple)):  # a number and its unit, steps or episodes, which end as they like
+        steps = steps[0] if steps[1] == "step" else 1
+    return whole("n_envs", hyperparameters.get("n_envs", 1)) * whole(name, steps)
 
 
 def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]) -> VecNormalize:
@@ -222,13 +183,14 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
         features=hyperparameters.get("features"),
         frame_stack=hyperparameters.get("frame_stack", 1),
         damping_levels=hyperparameters.get("damping_levels"),
+        training_reward=hyperparameters.get("training_reward", "cost"),
+        wrappers=hyperparameters.get("wrappers", ()),
     )
-    envs = AdvantageReward(batch) if training_reward(hyperparameters, batch.task) == "advantage" else batch
     options = dict(hyperparameters.get("normalize", {}))
     if options.pop("norm_obs", False):
         raise ParameterError("norm_obs must be false: the environment scales its observations")
     return VecNormalize(
-        envs,
+        batch,
         norm_obs=False,
         norm_reward=bool(options.pop("norm_reward", False)),
         gamma=hyperparameters.get("gamma", 0.99),
@@ -261,6 +223,9 @@ class _Checkpoint(BaseCallback):
         return float(np.mean([episode["r"] / episode["l"] for episode in episodes]))
 
 
+Report = Callable[[int, int, float | None], None]
+
+
 def silent(done: int, total: int, reward: float | None) -> None:
     """Report nothing."""
 
@@ -268,53 +233,75 @@ def silent(done: int, total: int, reward: float | None) -> None:
 def train(
     folder: str | Path,
     *,
-    algorithm: str = "ppo",
+    algorithm: str | None = None,
     environment: Mapping[str, Any] | None = None,
     hyperparameters: Mapping[str, Any] | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     timesteps: int | None = None,
     checkpoint_interval: int = 100_000,
     resume: bool = False,
+    wrappers: Sequence[str | Callable[[Any], Any]] = (),
+    imports: Sequence[str] = (),
     tensorboard: bool = False,
-    report: Any = silent,
+    report: Report | None = None,
 ) -> Agent:
     """Train an agent into ``folder`` and return it.
 
     Args:
         folder: the agent's folder; must not hold an agent yet, unless ``resume``.
-        algorithm: a key of `ALGORITHMS`.
+        algorithm: a key of `ALGORITHMS`; "ppo" by default.
         environment: parameters of the environment; by default the bounded road over a range of speeds and bandwidths.
         hyperparameters: by default those of the algorithm's YAML file.
-        seed: fixes roads, weights and exploration; not negative.
+        seed: fixes roads, weights and exploration; not negative, 0 by default.
         timesteps: control intervals to train for in all, over every environment; by default the hyperparameters' n_timesteps.
+            An algorithm learns from whole rollouts (`rollout`), so the last one is completed.
         checkpoint_interval: timesteps between checkpoints.
-        resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold. The noise of the
-            second part is new, so the result differs from that of one unbroken run, but repeats. A replay buffer is not
-            saved: an off-policy algorithm fills it anew, for learning_starts timesteps of random damping, before it learns on.
+        resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold, and must be those
+            that are given. The noise of the second part is new, so the result differs from that of one unbroken run, but
+            repeats. A replay buffer is not saved: an off-policy algorithm fills it anew, for learning_starts timesteps of
+            random damping, before it learns on.
+        wrappers: functions or classes, or "module:name" of them, around the batch of training, the innermost first, after those
+            of the hyperparameters: Gymnasium's vector wrappers or one's own. They may pay other rewards, made of the infos, and
+            map actions as a ``VectorActionWrapper`` does, which the agent repeats wherever it drives; observations must stay
+            as they are. Costs are evaluated without them.
+        imports: modules that register components of one's own, which `agents.load` imports again where one is not known. Those
+            that hold the components' classes need not be named.
         tensorboard: write logs for TensorBoard under ``folder``.
-        report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``.
+        report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``; by default progress
+            is told on the error stream, and `silent` tells nothing.
 
     Raises:
-        ParameterError: a parameter out of range.
+        ParameterError: a parameter out of range, or other than that of the agent that is resumed.
         AgentError: the folder cannot be written, is in use by another training, holds an agent already, or none to resume.
         InstallationError: a package that it needs is not installed.
     """
-    whole("seed", seed, low=0)
+    if whole("seed", 0 if seed is None else seed, low=0) > LARGEST_SEED:
+        raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
     whole("checkpoint_interval", checkpoint_interval)
     path = Path(folder)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     if resume:
         description = read_description(path)
+        _refuse_contradictions(path, description, algorithm, environment, hyperparameters, seed)
+        if timesteps is not None and outlasts(description, timesteps):
+            known = description["timesteps"]
+            raise ParameterError(f"timesteps must be at least the {known} of the agent in {str(path)!r}, got {timesteps}")
     else:
         _refuse_agent(path)
+        algorithm, seed = "ppo" if algorithm is None else algorithm, 0 if seed is None else seed
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
+        if wrappers:
+            named = [*hyperparameters.get("wrappers", ()), *map(wrapper_name, wrappers)]
+            hyperparameters = {**hyperparameters, "wrappers": named}
         environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
+        task = make_task(**environment)
         description = {
             "format": FORMAT,
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": plain(hyperparameters),
-            "training_reward": training_reward(hyperparameters, make_task(**environment)),
+            "training_reward": training_reward(hyperparameters.get("training_reward", "cost"), task),
+            "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),
             "command": " ".join(sys.argv),
@@ -323,29 +310,39 @@ def train(
     algorithm_class(description["algorithm"])
     if tensorboard:
         require("tensorboard", "train")
-    total = _total(description["hyperparameters"], timesteps)
+    total = total_timesteps(description["algorithm"], description["hyperparameters"], timesteps)
+    if timesteps is not None and total != timesteps:
+        of = rollout(description["algorithm"], description["hyperparameters"])
+        logging.getLogger("roadgym").warning("%d timesteps are no whole rollouts of %d: training for %d", timesteps, of, total)
     make_folder(path)
     with locked(path / LOCK, "training"):
         files.remove_parts(path)
         if resume:
             description = read_description(path)  # another training may have gone on with it
-            total = _total(description["hyperparameters"], timesteps)
             model = _resumed(path, description, tensorboard)
         else:
             _refuse_agent(path)
             own = description["hyperparameters"], description["environment"]
-            model = make_model(algorithm, *own, seed, _log(path, tensorboard))
+            model = make_model(description["algorithm"], *own, description["seed"], _log(path, tensorboard))
         remaining = total - model.num_timesteps
         if remaining > 0:
-            callback = _Checkpoint(path, description, total, checkpoint_interval, report)
-            try:
-                model.learn(remaining, callback=callback, reset_num_timesteps=not resume, tb_log_name="train")
-            except KeyboardInterrupt:
-                save(path, model, description)
-                raise
+            with training_progress() if report is None else contextlib.nullcontext(report) as tell:
+                callback = _Checkpoint(path, description, total, checkpoint_interval, tell)
+                try:
+                    model.learn(remaining, callback=callback, reset_num_timesteps=not resume, tb_log_name="train")
+                except KeyboardInterrupt:
+                    save(path, model, description)
+                    raise
             save(path, model, description)
         description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
-    return Agent(model, description, make_task(**description["environment"]))
+    return Agent(model, description, task_of(description))
+
+
+def _homes(task: Task, imports: Sequence[str]) -> list[str]:
+    """The modules that must be imported for the components of ``task``: those named, then those that have their classes."""
+    named = [component_type.__module__ for component_type in map(type, (task.road, task.speed_noise, task.car))]
+    own = [name for name in named if name.partition(".")[0] not in ("roadgym", "builtins", "__main__")]
+    return list(dict.fromkeys([*imports, *own]))
 
 
 def _refuse_agent(path: Path) -> None:
@@ -353,8 +350,30 @@ def _refuse_agent(path: Path) -> None:
         raise AgentError(f"the folder {str(path)!r} holds an agent already: resume it or choose another folder")
 
 
-def _total(hyperparameters: Mapping[str, Any], timesteps: int | None) -> int:
-    return whole("timesteps", int(hyperparameters.get("n_timesteps", 0)) if timesteps is None else timesteps)
+def _refuse_contradictions(path: Path, description: Mapping[str, Any], *given: Any) -> None:
+    """What is ``given`` of algorithm, environment, hyperparameters and seed must be that of the agent that is resumed."""
+    for name, value in zip(("algorithm", "environment", "hyperparameters", "seed"), map(plain, given), strict=True):
+        known = description[name]
+        if value is None or value == known:
+            continue
+        if isinstance(known, dict) and isinstance(value, dict):  # tell no more than what differs
+            differ = [key for key in {**known, **value} if known.get(key) != value.get(key)]
+            known, value = ({key: side.get(key) for key in differ} for side in (known, value))
+        raise ParameterError(f"{name} must be {known!r}, as of the agent in {str(path)!r} that is resumed, got {value!r}")
+
+
+def total_timesteps(algorithm: str, hyperparameters: Mapping[str, Any], timesteps: int | None) -> int:
+    """What is trained for in all: ``timesteps``, or else the hyperparameters' n_timesteps, in whole rollouts."""
+    asked = whole("timesteps", int(hyperparameters.get("n_timesteps", 0)) if timesteps is None else timesteps)
+    whole_rollout = rollout(algorithm, hyperparameters)
+    return -(-asked // whole_rollout) * whole_rollout
+
+
+def outlasts(description: Mapping[str, Any], timesteps: int | None) -> bool:
+    """Has an agent trained longer than for ``timesteps``, by more than the end of a rollout?"""
+    algorithm, hyperparameters = description["algorithm"], description["hyperparameters"]
+    total = total_timesteps(algorithm, hyperparameters, timesteps)
+    return bool(description["timesteps"] >= total + rollout(algorithm, hyperparameters))
 
 
 def _log(path: Path, tensorboard: bool) -> Path | None:
@@ -375,4 +394,4 @@ def _resumed(path: Path, description: Mapping[str, Any], tensorboard: bool) -> B
         model.learning_starts = model.num_timesteps + hyperparameters.get("learning_starts", 100)
     model.set_random_seed(training_seed(seed, model.num_timesteps) % 2**32)
     envs.seed(training_seed(seed, model.num_timesteps))
-    return model
+    return _without_log(model, log)

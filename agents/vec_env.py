@@ -3,50 +3,141 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
+from roadgym import ENVIRONMENT_ID
+from roadgym.env import QuarterCarEnv, check_options
 from roadgym.installation import needs
-from roadgym.parameters import ParameterError, shown, whole
+from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
 
-from .actions import action_space
 from .actions import damping_from_action as damping_from_action
-from .features import Rows
 from .features import Sight as Sight
+from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, wrap
 
 with needs("train"):
+    from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 
 
-class QuarterCarVecEnv(VecEnv):
-    """``num_envs`` quarter cars for stable-baselines3, with its actions (`damping_from_action`) and a policy's `Sight`.
+class Info(dict[str, Any]):
+    """The infos of one environment, read from the batch's arrays when one of them is asked for: most steps nobody asks, and
+    to make dictionaries for all took as long as all else. Only C code that does not ask, such as that of json, sees none.
 
-    Infos hold what stable-baselines3 reads: "terminal_observation" and "TimeLimit.truncated" where an episode ended, and there
-    "episode" with its return "r", length "l" and time "t", as its Monitor gives them.
+    Args:
+        numbers: arrays over the environments, by name.
+        row: the environment.
+    """
+
+    __slots__ = ("_numbers", "_row")
+
+    def __init__(self, numbers: Mapping[str, npt.NDArray[Any]], row: int) -> None:
+        self._numbers, self._row = numbers, row
+
+    def _filled(self) -> Info:
+        for name in self._numbers:
+            self.setdefault(name, self._numbers[name][self._row].item())
+        self._numbers = {}
+        return self
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """As of a dictionary; the one method that is called in every step, by stable-baselines3."""
+        return dict.get(self._filled() if key in self._numbers else self, key, default)
+
+    def __missing__(self, key: str) -> Any:
+        if key not in self._numbers:
+            raise KeyError(key)
+        return self._filled()[key]
+
+    def __reduce__(self) -> Any:
+        return dict, (dict(self._filled()),)
+
+
+def _filled_first(name: str) -> Any:
+    """The method of a dictionary of this ``name``, of one that is filled."""
+    method = getattr(dict, name)
+    return lambda info, *arguments: method(info._filled(), *arguments)
+
+
+for _name in (
+    "__contains__",
+    "__iter__",
+    "__len__",
+    "__eq__",
+    "__ne__",
+    "__repr__",
+    "__or__",
+    "__ror__",
+    "__ior__",
+    "__reversed__",
+):
+    setattr(Info, _name, _filled_first(_name))
+for _name in ("copy", "items", "keys", "values", "pop", "popitem"):
+    setattr(Info, _name, _filled_first(_name))
+
+
+def _described(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+    """The arguments of `QuarterCarVecEnv` that make the same of ``env``."""
+    found: dict[str, Any] = {"max_episode_steps": None}
+    layer = env
+    while isinstance(layer, gymnasium.Wrapper):
+        match layer:
+            case DampingAction():
+                found["damping_levels"] = layer.levels
+            case FeatureObservation():
+                found |= layer.arguments
+            case AdvantageReward():
+                found["training_reward"] = "advantage"
+            case TimeLimit():
+                found["max_episode_steps"] = layer._max_episode_steps
+            case Monitor(results_writer=None, info_keywords=()) | OrderEnforcing() | PassiveEnvChecker():
+                pass
+            case _:
+                raise ParameterError(
+                    f"the batch has no {type(layer).__name__}; wrap the batch instead, such as in a VecMonitor"
+                )
+        layer = layer.env
+    if not isinstance(layer, QuarterCarEnv) or layer.spec is None or "damping_levels" not in found:
+        raise ParameterError(f"env must be gymnasium.make({ENVIRONMENT_ID!r}) within agents.wrappers.learning, got {env}")
+    environment = {name: value for name, value in layer.spec.kwargs.items() if name != "render_mode"}
+    return {**found, "environment": environment}
+
+
+class QuarterCarVecEnv(VecEnv):
+    """``num_envs`` quarter cars for stable-baselines3, as they learn well: the batch within `agents.wrappers.learning`.
+
+    Infos hold those of the environment, and what stable-baselines3 reads: "terminal_observation" and "TimeLimit.truncated"
+    where an episode ended, and there "episode" with the return "r" of the environment's own reward, length "l" and time "t",
+    as its Monitor gives them.
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: steps in an episode.
+        max_episode_steps: steps in an episode; None for no limit.
         environment: parameters of `roadgym.vector.QuarterCarVectorEnv`.
-        features, frame_stack: what the policy sees; see `Sight`.
-        damping_levels: number of damping ratios to choose from, at equal distances over the range; by default all of it.
+        features, frame_stack, damping_levels, training_reward: see `agents.wrappers.learning`.
+        wrappers: Gymnasium's or one's own around all this, each a "module:name"; see `agents.wrappers.wrap`. Where the cost is
+            paid, the return "r" is that of their reward.
     """
 
     def __init__(
         self,
         num_envs: int,
         *,
-        max_episode_steps: int = 500,
+        max_episode_steps: int | None = 500,
         environment: Mapping[str, Any] | None = None,
         features: Sequence[str] | None = None,
         frame_stack: int = 1,
         damping_levels: int | None = None,
+        training_reward: str = "cost",
+        wrappers: Sequence[str] = (),
     ) -> None:
         if not (environment is None or isinstance(environment, Mapping)):
             raise ParameterError(f"environment must be a mapping of parameters, got {shown(environment)}")
@@ -62,25 +153,58 @@ class QuarterCarVecEnv(VecEnv):
         )
         self.task = self.envs.task
         self.render_mode = None
-        self.sight = Sight(self.task, features, frame_stack)
-        self.damping_levels = None if damping_levels is None else whole("damping_levels", damping_levels, low=2, of="levels")
-        super().__init__(num_envs, self.sight.space, action_space(self.damping_levels))
-        self._frames: Rows | None = None
+        learned = learning(
+            self.envs,
+            features=features,
+            frame_stack=frame_stack,
+            damping_levels=damping_levels,
+            training_reward=training_reward,
+        )
+        self._batch, _ = wrap(learned, wrappers)
+        super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         self._begin = time.monotonic()
 
+    @classmethod
+    def from_functions(cls, functions: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> QuarterCarVecEnv:
+        """The batch of what functions would make one by one, as ``vec_env_cls`` of stable-baselines3's ``make_vec_env``.
+
+        Each must make the same `roadgym` environment by `gymnasium.make`, within `agents.wrappers.learning`.
+
+        Raises:
+            ParameterError: one makes something else.
+        """
+        described = [_described(function()) for function in functions]
+        for number, description in enumerate(described):
+            if description != described[0]:
+                raise ParameterError(f"environments must be alike, got {described[0]}, and {description} as number {number}")
+        return cls(len(described), **described[0])
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Options of the next reset, `roadgym.vector.QuarterCarVectorEnv.reset`, for all environments or one each.
+
+        Raises:
+            ParameterError: unknown options, or another number of them.
+        """
+        if isinstance(options, (list, tuple)) and len(options) != self.num_envs:
+            raise ParameterError(f"options must be one mapping or {self.num_envs} of them, got {len(options)}")
+        for each in options if isinstance(options, (list, tuple)) else [options]:
+            check_options(each)
+        super().set_options(options)
+
     def reset(self) -> npt.NDArray[np.float32]:
-        """What is seen first, shape (num_envs, size); the seed of `seed` takes effect here."""
-        given = self._seeds if any(seed is not None for seed in self._seeds) else None
-        observations, _ = self.envs.reset(seed=given)
+        """What is seen first, shape (num_envs, size); the seed of `seed` and the options of `set_options` take effect here."""
+        given: Any = self._seeds if any(seed is not None for seed in self._seeds) else None
+        names = dict.fromkeys(name for each in self._options for name in each)
+        options = {name: [each.get(name) for each in self._options] for name in names}
+        observations, _ = self._batch.reset(seed=given, options=options)
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0
         self._lengths[:] = 0
-        self._frames = self.sight.stack(None, observations, None)
-        return self.sight(observations, self._frames)
+        return np.asarray(observations)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions, shape (num_envs, 1), or (num_envs,) where they are levels, for `step_wait`."""
@@ -88,27 +212,23 @@ class QuarterCarVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Drive one control interval."""
-        damping = damping_from_action(self._actions, self.task.damping_range, self.damping_levels)
-        observations, rewards, _, truncated, info = self.envs.step(damping)
-        self._returns += rewards
+        observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
+        self._returns -= info.get("cost", -rewards)
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        if truncated.any():
+        numbers = {name: info[name] for name in info if "_" + name in info and name[:6] != "final_"}
+        infos: list[dict[str, Any]] = [Info(numbers, row) for row in range(self.num_envs)]
+        done = terminated | truncated
+        if done.any():
             elapsed = round(time.monotonic() - self._begin, 6)
-            ended = np.flatnonzero(truncated)
-            last = np.stack(info["final_obs"][ended])
-            before = None if self._frames is None else self._frames[ended]
-            final = self.sight(last, self.sight.stack(before, last, None))
-            for row, i in enumerate(ended):
-                infos[i] = {
-                    "terminal_observation": final[row],
-                    "TimeLimit.truncated": True,
+            for i in np.flatnonzero(done):
+                infos[i] |= {
+                    "terminal_observation": info["final_obs"][i],
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": elapsed},
                 }
-            self._returns[truncated] = 0
-            self._lengths[truncated] = 0
-        self._frames = self.sight.stack(self._frames, observations, truncated)
-        return self.sight(observations, self._frames), np.asarray(rewards, np.float32), truncated, infos
+            self._returns[done] = 0
+            self._lengths[done] = 0
+        return observations, np.asarray(rewards, np.float32), done, infos
 
     def close(self) -> None:
         """Nothing to release."""

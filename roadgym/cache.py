@@ -14,6 +14,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import logging
+import multiprocessing
 import os
 import pickle
 import re
@@ -36,8 +38,10 @@ from .files import PART, whole_file
 KEPT = 32  # stamps; one of the whole package takes about 5 MB
 STAMP = re.compile(r"[0-9a-f]{32}")
 SUFFIX = ".code"
+KERNEL = f"{__package__}.kernel"  # takes nearly all of the time
 
 _warned = False
+_told = False
 _digests: dict[Path, tuple[str, dict[Path, tuple[int, int]]]] = {}
 _used: set[Path] = set()
 
@@ -110,6 +114,15 @@ def warn_not_kept(folder: Path | None, error: OSError | None) -> None:
             RuntimeWarning,
             stacklevel=2,
         )
+
+
+def tell_compiling() -> None:
+    """Say, once and not in workers, why nothing seems to happen, through the log "roadgym": on the error stream by default."""
+    global _told
+    if not _told:
+        _told = True
+        if multiprocessing.parent_process() is None:
+            logging.getLogger(__package__).warning("compiling the plant, once: up to half a minute")
 
 
 def _state(file: Path) -> tuple[int, int]:
@@ -189,20 +202,27 @@ class CodeCache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for a signature, or None."""
         target_context.refresh()
-        folder = self._folder
-        if folder is None:
+        content = None if self._folder is None else self._read(self._path(self._folder, sig, target_context.codegen()))
+        if content is None:
+            if self._function.__module__.startswith(KERNEL):
+                tell_compiling()
             return None
+        return CompileResult._rebuild(target_context, *pickle.loads(content))
+
+    @staticmethod
+    def _read(path: Path) -> bytes | None:
+        """The code in a file, or None where there is none or a damaged one."""
         try:
-            content = self._path(folder, sig, target_context.codegen()).read_bytes()
+            content = path.read_bytes()
         except OSError:
             return None
         if hashlib.sha256(content[32:]).digest() != content[:32]:
             return None
-        if folder not in _used:
-            _used.add(folder)
+        if path.parent not in _used:
+            _used.add(path.parent)
             with contextlib.suppress(OSError):
-                os.utime(folder)
-        return CompileResult._rebuild(target_context, *pickle.loads(content[32:]))
+                os.utime(path.parent)
+        return content[32:]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the code for a signature where that is possible."""

@@ -3,12 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import importlib
+import importlib.metadata
+import inspect
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from .parameters import ParameterError, shown
 
 Component = TypeVar("Component")
+
+ENTRY_POINTS = "roadgym.components"  # group of entry points: by a kind, the module whose import registers it
+
+
+def import_modules(modules: Iterable[str]) -> None:
+    """Import modules for what they register; they are looked for in the working folder too, after everywhere else.
+
+    Raises:
+        ParameterError: one that is not there, or that raises.
+    """
+    for module in modules:
+        if (here := str(Path.cwd())) not in sys.path:
+            sys.path.append(here)
+        try:
+            importlib.import_module(module)
+        except Exception as error:  # somebody else's module can raise anything
+            raise ParameterError(f"cannot import {module!r}: {' '.join(str(error).split())}") from error
 
 
 class Registry(dict[str, type[Component]], Generic[Component]):
@@ -44,6 +66,9 @@ class Registry(dict[str, type[Component]], Generic[Component]):
     def make(self, value: Any) -> Component:
         """A component from its name, from a mapping with the key "kind" and its parameters, or as it is.
 
+        The parameters are those of the class, or of the one of its ``constructors`` whose parameter is among them. A kind that
+        is not there is looked for among the entry points of installed packages, in the group `ENTRY_POINTS`.
+
         Raises:
             ParameterError: unknown kind or parameter, or a value out of range.
         """
@@ -55,11 +80,23 @@ class Registry(dict[str, type[Component]], Generic[Component]):
             raise ParameterError(f"{self.what} must be a name, a mapping or a {self.base.__name__}, got {shown(value)}")
         parameters = dict(value)
         kind = parameters.pop("kind", None)
+        if isinstance(kind, str) and kind not in self:
+            import_modules(point.module for point in importlib.metadata.entry_points(group=ENTRY_POINTS, name=kind))
         if not isinstance(kind, str) or kind not in self:
             raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join(self)}")
-        component = self[kind]
-        allowed = [field.name for field in dataclasses.fields(component) if field.init]  # type: ignore[arg-type]
+        component: Any = self[kind]
+        allowed = [field.name for field in dataclasses.fields(component) if field.init]
         for name in parameters:
-            if name not in allowed:
-                raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}; known: {', '.join(allowed)}")
-        return component(**parameters)
+            if name not in allowed and name not in component.constructors:
+                known = ", ".join([*allowed, *component.constructors])
+                raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}; known: {known}")
+        for own in parameters.keys() & component.constructors.keys():
+            component = getattr(component, component.constructors[own])
+            allowed = list(inspect.signature(component).parameters)
+            for name in parameters:
+                if name not in allowed:
+                    raise ParameterError(
+                        f"parameter {name!r} of {self.what} {kind!r} cannot be given beside {own!r}; "
+                        f"known: {', '.join(allowed)}"
+                    )
+        return component(**parameters)  # type: ignore[no-any-return]

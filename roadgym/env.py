@@ -14,12 +14,17 @@ from gymnasium.error import ResetNeeded
 from . import ENVIRONMENT_ID
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
-from .task import TaskParameters, make_task
+from .task import Task, TaskParameters, make_task
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from .rendering import History, Picture, Window
 
 RESET_OPTIONS = ("speed", "bandwidth")
+
+
+def state_names(task: Task) -> tuple[str, ...]:
+    """Names of what the environments' ``state`` tells."""
+    return (*task.car.motion.states, "level", "slope", "speed", "bandwidth")
 
 
 def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
@@ -34,8 +39,18 @@ def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESE
     return dict(options)
 
 
+def check_render_mode(mode: Any, known: Sequence[str]) -> None:
+    """Raise unless ``mode`` is None or a known one, and what it needs is installed."""
+    if mode is not None:
+        if not isinstance(mode, str) or mode not in known:
+            raise ParameterError(f"unknown render_mode {shown(mode)}; known: {', '.join(known)}")
+        from . import rendering  # noqa: F401  (a missing pygame is told here, not in the middle of a drive)
+
+
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
+
+    By default the car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own.
 
     - Action: D itself, `Box(damping_range)`, shape (1,), float32. It saturates at the range, as an actuator does; an action
       that is not finite or has another shape raises.
@@ -45,9 +60,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
       acceleration over w1^2), saturating at 20 of them; then, unless it is hidden, the operating point, speed as nu/(1 + nu)
       with nu = speed * wavenumber / natural_frequency and, where it exists, bandwidth delta as 2 delta/(1 + 2 delta).
       ``signal_scale`` holds the factors that make metres of them.
-    - Info after a step: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
+    - Info, in double precision: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
       ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
-      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1).
+      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1). At a reset no
+      interval has been driven yet: mean squares and damping are 0.
     - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
       stationary law and the car at rest, or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
@@ -67,12 +83,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         render_mode: str | None = None,
         **parameters: Unpack[TaskParameters],
     ) -> None:
-        if render_mode is not None:
-            if not isinstance(render_mode, str) or render_mode not in self.metadata["render_modes"]:
-                raise ParameterError(
-                    f"unknown render_mode {shown(render_mode)}; known: {', '.join(self.metadata['render_modes'])}"
-                )
-            from . import rendering  # noqa: F401  (a missing pygame is told here, not in the middle of a drive)
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self.task = make_task(**parameters)
         self.render_mode = render_mode
         self.render_title = "Quarter car"
@@ -110,10 +121,14 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
             if self.render_mode == "human":
                 self.render()
         _, _, ratio, bandwidth, *_ = began.only()
-        info = {"speed": ratio * self._metres_per_second}
+        info = {**dict.fromkeys(self._names, 0.0), "damping": 0.0, "speed": ratio * self._metres_per_second}
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
         return began.observations[0], info
+
+    def state(self) -> npt.NDArray[np.float64]:
+        """State of the car, then (Z, U, nu, delta), in one row; see `roadgym.vector.QuarterCarVectorEnv.state`."""
+        return np.array([self.plant.row(name)[0] for name in state_names(self.task)], float)
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""

@@ -57,7 +57,7 @@ POINTS = 4096  # of the road that are remembered at most
 
 
 class History:
-    """What a picture shows of the episode that has just begun on ``plant``, one car.
+    """What a picture shows of the episode that has just begun on ``plant``, of one of its cars.
 
     Everything is in the kernel's units: lengths in standard deviations of the road, distances as the road's angle
     wavenumber * distance, rad.
@@ -74,11 +74,11 @@ class History:
         reward_limit: largest cost of a step on its scale.
     """
 
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
+    def __init__(self, plant: Plant, car: int = 0) -> None:
+        self._plant, self._car = plant, car
         motion = plant.task.car.motion
         self._heights = [state for state, height in zip(motion.states, motion.follows, strict=True) if height]
-        self.path = collections.deque([(0.0, float(plant.row("level")[0]))], maxlen=POINTS)
+        self.path = collections.deque([(0.0, self._now("level"))], maxlen=POINTS)
         self.trace: Floats = np.zeros((0, 3))
         self.damping = plant.task.damping_range[0]
         self.steps, self.cost = 0, 0.0
@@ -88,8 +88,13 @@ class History:
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
         """`Plant.step`, remembered: how the road went, and how far the car came where its speed is noise."""
         interval, angle, level = self._plant.trace(actions)
-        reward, self.damping, *_ = interval.only()
-        for turn, end in zip(angle[:, 0].tolist(), level[:, 0].tolist(), strict=True):
+        self.note(interval, angle, level)
+        return interval
+
+    def note(self, interval: Interval, angle: npt.NDArray[Any], level: npt.NDArray[Any]) -> None:
+        """Remember what `Plant.trace` tells of a step in which the car went on with its episode."""
+        reward, self.damping = float(interval.reward[self._car]), float(interval.damping[self._car])
+        for turn, end in zip(angle[:, self._car].tolist(), level[:, self._car].tolist(), strict=True):
             here = self.path[-1][0] + turn
             if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / PIXELS_PER_RADIAN:
                 self.path.pop()
@@ -100,11 +105,13 @@ class History:
         self.steps += 1
         self.cost -= reward
         self._remember(reward)
-        return interval
+
+    def _now(self, name: str) -> float:
+        return float(self._plant.row(name)[self._car])
 
     def _remember(self, reward: float) -> None:
-        self.heights = [float(self._plant.row(name)[0]) for name in self._heights]
-        level = float(self._plant.row("level")[0])
+        self.heights = [self._now(name) for name in self._heights]
+        level = self._now("level")
         self.trace = np.vstack([self.trace, (self.heights[0], level, reward)])[-STEPS_SHOWN - 1 :]
         highest = max(abs(level) for _, level in self.path)
         self.limit = max(TYPICAL, highest, float(np.abs(self.trace[:, :2]).max()), ZOOM * self.limit)
@@ -113,12 +120,12 @@ class History:
     @property
     def speed(self) -> float:
         """Frequency ratio nu of this episode."""
-        return float(self._plant.row("speed")[0])
+        return self._now("speed")
 
     @property
     def bandwidth(self) -> float:
         """Bandwidth of the road in this episode; 0 on a road without one."""
-        return float(self._plant.row("bandwidth")[0])
+        return self._now("bandwidth")
 
 
 def share_scales(histories: Sequence[History]) -> None:

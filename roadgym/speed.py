@@ -83,6 +83,7 @@ class SpeedNoise(abc.ABC):
     kind: str = dataclasses.field(default="", init=False)
     intensity: float = 0.2
 
+    constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
     smooth: ClassVar[bool] = False  # is the speed itself a number, that is, free of white noise
     words_per_substep: ClassVar[int] = 4
     start: ClassVar[LaneFunction] = start

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from .env import RESET_OPTIONS, check_options
+from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, state_names
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Interval, Plant
-from .task import TaskParameters, make_task
+from .task import OPERATING_POINT, TaskParameters, make_task
+
+if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
+    from .rendering import History, Picture
 
 Floats = npt.NDArray[np.float32]
 
@@ -35,8 +39,9 @@ def make_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     """``num_envs`` quarter cars, stepped together; environment i with seed s equals `QuarterCarEnv` with seed s + i bit by bit.
 
-    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments. A batch
-    draws no pictures; ``gymnasium.make_vec(..., vectorization_mode="sync", render_mode="rgb_array")`` does, one for each.
+    Observations, actions, rewards and infos are those of `QuarterCarEnv`, with a first axis over the environments. With
+    ``render_mode="rgb_array"`` `render` gives the picture of each, as Gymnasium's ``HumanRendering`` and ``RecordVideo`` for
+    vector environments take them; this needs the extra ``render``.
 
     Args:
         num_envs: number of environments.
@@ -50,6 +55,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     All others are the parameters of `roadgym.task.make_task`.
     """
 
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": QuarterCarEnv.metadata["render_fps"]}  # noqa: RUF012
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -57,17 +64,17 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         max_episode_steps: int | None = 500,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **parameters: Unpack[TaskParameters],
     ) -> None:
         self.num_envs = whole("num_envs", num_envs, of="num_envs")
         mode = make_autoreset_mode(autoreset_mode)
         limit = 0 if max_episode_steps is None else whole("max_episode_steps", max_episode_steps, low=-1)
         limit = 0 if limit == -1 else limit and whole("max_episode_steps", limit, of="max_episode_steps")
-        if render_mode is not None:
-            raise ParameterError(f"render_mode must be None: a batch draws no pictures, got {shown(render_mode)}")
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self.task = make_task(**parameters)
-        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.autoreset_mode = mode  # as Gymnasium's own vector environments have it
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.render_mode = render_mode
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
@@ -82,15 +89,35 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             autoreset=mode.name.lower(),
             threads=None if threads is None else whole("threads", threads, of="threads"),
         )
-        self._same_step = mode is AutoresetMode.SAME_STEP
+        self._same_step, self._next_step = mode is AutoresetMode.SAME_STEP, mode is AutoresetMode.NEXT_STEP
         self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
         self._all = np.ones(self.num_envs, np.bool_)
+        self._over = ~self._all  # whose episode ended in the last step
+        self.histories: list[History] = []  # of each environment, for pictures, where there is a render_mode
+        self._picture: Picture | None = None
 
-    def _operating_point(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        info: dict[str, Any] = {"speed": interval.frequency_ratio * self._metres_per_second, "_speed": mask}
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_picture": None}  # a copy draws for itself
+
+    def _info(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
+        squares = interval.mean_squares.astype(np.float64) * self.task.road.variance
+        info: dict[str, Any] = dict(zip(self.task.car.mean_squares, squares, strict=True))
+        info["damping"] = interval.damping.astype(np.float64)
+        info["speed"] = interval.frequency_ratio.astype(np.float64) * self._metres_per_second
         if self.task.bandwidth[1] > 0:
-            info["bandwidth"], info["_bandwidth"] = interval.bandwidth, mask
-        return info
+            info["bandwidth"] = interval.bandwidth.astype(np.float64)
+        return info | {"_" + name: mask for name in info}
+
+    def _forced(self, chosen: dict[str, Any]) -> npt.NDArray[np.float64]:
+        """The operating points that the options fix, see `Plant.forced`; NaN too where one of them is None."""
+        drawn = {name: value for name, value in chosen.items() if isinstance(value, (list, tuple)) and None in value}
+        known = {name: [getattr(self.task, name)[0] if each is None else each for each in drawn[name]] for name in drawn}
+        forced = self.plant.forced(chosen | known)
+        for row, name in enumerate(OPERATING_POINT):
+            if name in drawn:
+                forced[row, [each is None for each in drawn[name]]] = np.nan
+        return forced
 
     def _seeds(self, seed: int | Sequence[int | None] | None, mask: npt.NDArray[np.bool_]) -> None:
         """Seed the masked environments: s + i from an integer s, or one each from a sequence, None leaving one as it is."""
@@ -128,7 +155,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     ) -> tuple[Floats, dict[str, Any]]:
         """Begin the next episode everywhere, or where the option "reset_mask" is true.
 
-        The options "speed" and "bandwidth", a number or one for each environment, fix the operating point of that episode.
+        The options "speed" and "bandwidth", a number or one for each environment, fix the operating point of that episode; a
+        None among them leaves it to be drawn.
         """
         chosen = check_options(options, (*RESET_OPTIONS, "reset_mask"))
         mask = chosen.get("reset_mask", self._all)
@@ -138,12 +166,16 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         mask = np.require(mask, np.bool_, ["C", "A", "W"])  # as compiled code takes it
         if not self.plant.started and not mask.all():
             raise ResetNeeded("the first reset must reset every environment")
-        forced = self.plant.forced(chosen)
+        forced = self._forced(chosen)
         checked = self._checked_seed(seed)
         super().reset(seed=checked if isinstance(checked, int) else None)
         self._seeds(checked, mask)
         began = self.plant.reset(forced, mask)
-        return began.observations, self._operating_point(began, mask.copy())
+        info = self._info(began, mask.copy())
+        info["damping"][:] = 0.0  # no interval has been driven
+        self._over = self._over & ~mask
+        self._begin_histories(mask)
+        return began.observations, info
 
     def state(self) -> npt.NDArray[np.float64]:
         """The states of the car, then (Z, U, nu, delta), whatever is observed; shape (num_envs, 6) with one mass, (Y, X) first.
@@ -151,8 +183,37 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         States and level are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0
         on a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
         """
-        names = (*self.task.car.motion.states, "level", "slope", "speed", "bandwidth")
-        return np.stack([self.plant.row(name) for name in names], axis=1).astype(float)
+        return np.stack([self.plant.row(name) for name in state_names(self.task)], axis=1).astype(float)
+
+    def _begin_histories(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Forget what the masked environments drove before the episode that they are at the start of."""
+        if self.render_mode is not None:
+            from .rendering import History
+
+            self.histories = self.histories or [History(self.plant, i) for i in range(self.num_envs)]
+            for i in np.flatnonzero(mask):
+                self.histories[i] = History(self.plant, int(i))
+
+    def _trace(self, damping: Floats) -> Interval:
+        """`Plant.step`, remembered for pictures."""
+        interval, angle, level = self.plant.trace(damping)
+        begun = interval.truncated if self._same_step else self._over
+        for i in np.flatnonzero(~begun):
+            self.histories[i].note(interval, angle, level)
+        self._begin_histories(begun)
+        return interval
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """The pictures now, one of each environment, as `QuarterCarEnv` draws it."""
+        if self.render_mode is None:
+            logger.warn("render was called without a render_mode; make_vec takes render_mode='rgb_array'")
+            return None
+        if not self.histories:
+            raise ResetNeeded("call reset before render")
+        from .rendering import Picture
+
+        picture = self._picture = self._picture or Picture(self.task)
+        return tuple(picture.draw(history, "Quarter car").copy() for history in self.histories)
 
     def step(
         self, actions: Floats
@@ -163,14 +224,16 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         damping = single_precision("actions", actions, (self.num_envs, 1))
         if not np.isfinite(damping).all():
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
-        interval = self.plant.step(damping.reshape(-1))
-        truncated, squares = interval.truncated, interval.mean_squares
-        squares *= self.plant.dtype.type(self.task.road.variance)
-        mask = self._all.copy()
-        info = self._operating_point(interval, mask)
-        for name, row in zip(self.task.car.mean_squares, squares, strict=True):
-            info[name], info["_" + name] = row, mask
-        info["damping"], info["_damping"] = interval.damping, mask
+        interval = self.plant.step(damping.reshape(-1)) if self.render_mode is None else self._trace(damping.reshape(-1))
+        truncated, info = interval.truncated, self._info(interval, self._all.copy())
+        if self._next_step:
+            if self._over.any():  # they have only begun an episode, on a road of its own
+                state = self.state()[self._over]
+                info["damping"][self._over] = 0.0
+                info["speed"][self._over] = state[:, -2] * self._metres_per_second
+                if "bandwidth" in info:
+                    info["bandwidth"][self._over] = state[:, -1]
+            self._over = truncated
         if self._same_step and truncated.any():
             final_info = {name: value.copy() if name[0] == "_" else value for name, value in info.items()}
             info["final_info"], info["_final_info"] = final_info, truncated.copy()

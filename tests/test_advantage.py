@@ -6,7 +6,6 @@ from scipy.linalg import solve_continuous_lyapunov
 
 import agents
 from agents.advantage import advantage_forms, has_advantage
-from agents.advantage_reward import AdvantageReward
 from agents.controllers import make_controller, optimum, theoretical_cost
 from agents.features import Features
 from agents.vec_env import QuarterCarVecEnv
@@ -74,9 +73,11 @@ def test_advantage_is_what_simulation_finds(road):
 def test_rewards_average_to_the_cost_saved():
     """On the bounded road, for a policy that is not constant."""
     environment = {**ENVIRONMENT, "speed": 1.3, "bandwidth": 0.2}
-    envs, twins = (QuarterCarVecEnv(2048, max_episode_steps=10**6, environment=environment) for _ in range(2))
-    task, rival = envs.task, make_controller("skyhook", envs.task)
-    rewards = AdvantageReward(envs)
+    rewards, twins = (
+        QuarterCarVecEnv(2048, max_episode_steps=10**6, environment=environment, training_reward=kind)
+        for kind in ("advantage", "cost")
+    )
+    task, rival = twins.task, make_controller("skyhook", twins.task)
     for batch in (rewards, twins):  # the same roads for both
         batch.seed(3)
         observations = batch.reset()
@@ -159,7 +160,16 @@ HYPERPARAMETERS = {
 def test_an_agent_tells_what_it_learned_from(environment, asked, used, tmp_path):
     agent = agents.train(tmp_path, environment=environment, hyperparameters={**HYPERPARAMETERS, "training_reward": asked})
     assert agent.description["training_reward"] == used
-    assert isinstance(agent.model.get_env().venv, AdvantageReward) == (used == "advantage")
+    envs = agent.model.get_env()
+    envs.reset()
+    actions = np.zeros((8, 1), np.float32)
+    for _ in range(3):
+        _, _, _, infos = envs.step(actions)
+    saved = [
+        reward + info["displacement"] / envs.get_attr("task")[0].road.variance
+        for reward, info in zip(envs.get_original_reward().tolist(), infos, strict=True)
+    ]
+    assert (np.abs(saved).max() > 0.1) == (used == "advantage")
 
 
 def test_an_unknown_training_reward_is_refused(tmp_path):

@@ -180,6 +180,16 @@ def peaks(table: dict[str, np.ndarray], form: str, sigma: float) -> list[float]:
     return [column(table, form, f"sigma={sigma:g} {case} ").max() for case in cases]
 
 
+@pytest.mark.parametrize("number", FIGURES)
+def test_series_are_told_apart_by_more_than_colour(number) -> None:
+    for axis in FIGURES[number](False, None).figure.axes:
+        looks = {}
+        for line in axis.lines:
+            if len(line.get_xdata()) > 2 and line.get_label() and not line.get_label().startswith("_"):
+                look = (line.get_linestyle(), line._unscaled_dash_pattern, line.get_marker(), round(line.get_linewidth(), 3))
+                assert looks.setdefault(look, line.get_color()) == line.get_color()
+
+
 def test_figure_10_as_printed_does_what_the_paper_says_of_it_at_the_weaker_noise_alone(folder) -> None:
     table = read(folder, "figure_10")
     assert peaks(table, "printed", 0.2) == pytest.approx([5.12, 6.38, 7.39, 8.43], abs=0.01)  # further and further up

@@ -35,8 +35,9 @@ def distance(found: Estimate, expected: float) -> float:
 @pytest.mark.parametrize("road", RANDOM_ROADS, ids=lambda road: road.kind)
 def test_driven_plants_against_closed_forms(road) -> None:
     dampings = np.array([0.2, 0.7])
-    figures = drive_together(road, None, damping=dampings, speed=1.3, natural_frequency=1.2, relative_error=0.01, lanes=2048)
-    theory = analysis.mean_squares(road, damping=dampings, speed=1.3, natural_frequency=1.2)
+    car = QuarterCar(natural_frequency=1.2)
+    figures = drive_together(road, None, damping=dampings, speed=1.3, car=car, relative_error=0.01, lanes=2048)
+    theory = analysis.mean_squares(road, damping=dampings, speed=1.3, car=car)
     for k, name in enumerate(MEAN_SQUARES):
         expected = getattr(theory, name)
         if name in divergent_terms(QuarterCar(), road, None):

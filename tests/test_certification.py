@@ -30,7 +30,6 @@ from roadgym import (
     MultiplicativeRoad,
     ParameterError,
     WhiteSpeedNoise,
-    kernel,
 )
 from roadgym.roads import Road
 
@@ -110,7 +109,7 @@ def test_a_plant_that_is_not_a_number_fails():
 @pytest.mark.statistical
 def test_squares_at_the_ends_of_substeps_alone_are_found_out(monkeypatch):
     """At constant damping they have the right mean; where it switches, the acceleration at the beginning is missing."""
-    monkeypatch.setattr(kernel, "interval_weights", lambda substeps: np.append(0.0, np.full(substeps, 1 / substeps)))
+    monkeypatch.setattr("roadgym.plant.interval_weights", lambda substeps: np.append(0.0, np.full(substeps, 1 / substeps)))
     failed = failures(certify("gaussian", lanes=FEW))
     assert "acceleration with skyhook (m^2)" in failed
     assert not any(name.startswith(("mean square", "variance", "law")) for name in failed)

@@ -1,5 +1,6 @@
 """The recipes for contributors work as they stand, and so do the checks and the kind of install that they rest on."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -60,8 +61,10 @@ def test_an_editable_install_is_found_from_above_the_clone(tmp_path):
     (site / "roadgym" / "__pycache__").mkdir(parents=True)  # left by an install of another kind
     zipfile.ZipFile(wheel).extractall(site)
     look = "import importlib.util as u, site, sys; site.addsitedir(sys.argv[1]); print(u.find_spec('roadgym').origin)"
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    command = [sys.executable, "-S", "-c", look, site]
     for folder in (tmp_path, site):
-        done = subprocess.run([sys.executable, "-S", "-c", look, site], cwd=folder, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, cwd=folder, env=alone, capture_output=True, text=True, check=True)
         assert Path(done.stdout.strip()) == clone / "roadgym" / "__init__.py"
 
 

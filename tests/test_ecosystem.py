@@ -1,20 +1,22 @@
 """The environment among its neighbours: stable-baselines3, sb3-contrib, Gymnasium's wrappers, and rl-baselines3-zoo's files."""
 
+import importlib
 import subprocess
 import sys
-from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
 import yaml
-from gymnasium import wrappers
+from gymnasium import spaces, wrappers
 from gymnasium.wrappers import vector as vector_wrappers
 from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecNormalize
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
 import agents
 import roadgym
@@ -243,51 +245,69 @@ def test_rescaled_actions_reach_the_damper(action, damping):
 
 # the hyperparameter files of rl-baselines3-zoo
 
-GUIDE = (Path(__file__).parents[1] / "docs" / "guides" / "agents.md").read_text("utf-8")
-OURS = ("features", "training_reward", "damping_levels", "noise_std")
 FILES = sorted(HYPERPARAMETERS.glob("*.yaml"))
 ENVIRONMENT = {"road": "multiplicative", "speed": (0.5, 3.2)}
 
 
 def read_as_the_zoo_does(file):
-    """(arguments of the algorithm, n_envs, arguments of VecNormalize, frames stacked).
+    """(arguments of the algorithm, n_envs, arguments of VecNormalize, the wrapper).
 
-    What ``ExperimentManager._preprocess_hyperparams`` of rl-baselines3-zoo takes out, and what it makes objects of. Our
-    differences are taken out, as the guide says.
+    What ``ExperimentManager._preprocess_hyperparams`` of rl-baselines3-zoo takes out, and what it makes objects of.
     """
     chosen = yaml.safe_load(file.read_text("utf-8"))[roadgym.ENVIRONMENT_ID]
     assert int(chosen.pop("n_timesteps")) > 0
-    for name in OURS:
-        if chosen.pop(name, None) is not None:
-            assert f"`{name}`" in GUIDE
-    network = chosen.get("policy_kwargs", {})
-    if "activation_fn" in network:
-        assert "`activation_fn`" in GUIDE
-        network["activation_fn"] = getattr(torch.nn, network["activation_fn"])
+    ((wrapper, options),) = (each for entry in chosen.pop("env_wrapper") for each in entry.items())
+    module, _, name = wrapper.rpartition(".")
+    wrap = getattr(importlib.import_module(module), name)
+    chosen["policy_kwargs"] = eval(chosen["policy_kwargs"], {"nn": torch.nn})
     for name in ("learning_rate", "clip_range", "clip_range_vf", "delta_std"):
         if isinstance(chosen.get(name), str):
             kind, start = chosen[name].split("_")
             assert kind == "lin"
             chosen[name] = lambda progress, start=float(start): progress * start
+    if (kind := chosen.pop("noise_type", None)) is not None:
+        assert kind == "normal"
+        chosen["action_noise"] = NormalActionNoise(np.zeros(1), chosen.pop("noise_std") * np.ones(1))
     normalise = chosen.pop("normalize", {})
     assert isinstance(normalise, dict)  # a string would be evaluated as Python
     normalise["gamma"] = chosen["gamma"]
-    return chosen, chosen.pop("n_envs", 1), normalise, chosen.pop("frame_stack", 1)
+    return chosen, chosen.pop("n_envs", 1), normalise, lambda env: wrap(env, **options)
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_hyperparameter_files_are_those_of_the_zoo(file):
     algorithm = max((name for name in ALGORITHMS if file.stem.startswith(name)), key=len)
     small = {"buffer_size": 1000} if algorithm in ("sac", "td3", "dqn") else {}  # memory
-    chosen, n_envs, normalise, frames = read_as_the_zoo_does(file)
-    levels = 2 if algorithm == "dqn" else None  # the environment's action is a number; DQN needs choices
-    envs = QuarterCarVecEnv(n_envs, environment=ENVIRONMENT, damping_levels=levels)
-    envs = VecFrameStack(VecNormalize(envs, **normalise), frames)
+    chosen, n_envs, normalise, wrap = read_as_the_zoo_does(file)
+    batch = make_vec_env(ID, n_envs, env_kwargs=ENVIRONMENT, wrapper_class=wrap, vec_env_cls=QuarterCarVecEnv.from_functions)
+    envs = VecNormalize(batch, **normalise)
     model = algorithm_class(algorithm)(env=envs, seed=0, device="cpu", **chosen | small)
-    ours = make_model(algorithm, load_hyperparameters(algorithm, file) | small, ENVIRONMENT, 0, None)
+    hyperparameters = load_hyperparameters(algorithm, file) | small
+    ours = make_model(algorithm, hyperparameters, ENVIRONMENT, 0, None)
     for progress in (1.0, 0.4):
         assert ours.lr_schedule(progress) == pytest.approx(model.lr_schedule(progress))
     assert ours.gamma == model.gamma == ours.get_vec_normalize_env().gamma
     assert ours.n_envs == model.n_envs
     assert ours.policy.activation_fn is model.policy.activation_fn
     assert ours.policy.net_arch == model.policy.net_arch
+    assert repr(ours.action_noise if hasattr(ours, "action_noise") else None) == repr(chosen.get("action_noise"))
+    both = ours.get_env(), envs
+    for each in both:
+        each.seed(3)
+    np.testing.assert_array_equal(both[0].reset(), both[1].reset())
+    actions = np.array([envs.action_space.sample() for _ in range(n_envs)])
+    for found, expected in zip(*(each.step(actions)[:3] for each in both), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_the_command_of_the_zoo_trains(tmp_path):
+    pytest.importorskip("rl_zoo3")
+    command = ["-m", "rl_zoo3.train", "--algo", "ppo", "--env", roadgym.ENVIRONMENT_ID, "--gym-packages", "roadgym"]
+    command += ["--conf-file", str(HYPERPARAMETERS / "ppo.yaml"), "-f", str(tmp_path), "--device", "cpu", "--eval-freq", "-1"]
+    small = ["-n", "256", "-params", "n_envs:4", "n_steps:32", "batch_size:64"]
+    done = subprocess.run([sys.executable, *command, *small], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (file,) = tmp_path.glob("ppo/*/roadgym-QuarterCar-v0.zip")
+    model = PPO.load(file)
+    assert model.observation_space.shape == (18,)
+    assert model.action_space == spaces.Box(-1, 1, (1,), np.float32)

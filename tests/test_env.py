@@ -166,7 +166,7 @@ def test_episodes_are_truncated_not_terminated():
 def test_reset_options_fix_one_episode():
     env = gymnasium.make(ID, speed=(0.7, 2.0), bandwidth=(0.05, 0.5))
     observation, info = env.reset(seed=1, options={"speed": 1.2, "bandwidth": 0.2})
-    assert info == pytest.approx({"speed": 1.2, "bandwidth": 0.2})
+    assert info == pytest.approx(dict.fromkeys((*roadgym.MEAN_SQUARES, "damping"), 0.0) | {"speed": 1.2, "bandwidth": 0.2})
     assert observation[-2:] == pytest.approx([1.2 / 2.2, 0.4 / 1.4])
     _, info = env.reset()
     assert info["speed"] != pytest.approx(1.2)

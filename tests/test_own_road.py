@@ -124,7 +124,7 @@ def test_a_road_that_is_not_a_number_ends_a_command_in_one_line(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("car", "x", roadgym.GaussianRoad), "what must be one of road, speed_noise, got 'car'"),
+        (("wheel", "x", roadgym.GaussianRoad), "what must be one of road, speed_noise, car, got 'wheel'"),
         (("road", "gaussian", roadgym.WhiteSpeedNoise), "road 'gaussian' must be a dataclass that is a Road"),
         (("road", "mine", roadgym.GaussianRoad), "name of the road must be its kind, 'gaussian', got 'mine'"),
         (("speed_noise", "white", int), "speed noise 'white' must be a dataclass that is a SpeedNoise"),

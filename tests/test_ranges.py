@@ -60,7 +60,8 @@ def test_batches_have_a_bound():
         ({"num_envs": 10**9}, "num_envs must be at most"),
         ({"threads": 10**6}, "threads must be at most 1024"),
         ({"max_episode_steps": 2**40}, "max_episode_steps must be at most"),
-        ({"render_mode": "rgb_array"}, "render_mode must be None"),
+        ({"render_mode": "nonsense"}, "unknown render_mode 'nonsense'; known: rgb_array"),
+        ({"render_mode": "human"}, "unknown render_mode 'human'; known: rgb_array"),
     ):
         with pytest.raises(ParameterError, match=message):
             QuarterCarVectorEnv(**parameters)

@@ -254,11 +254,7 @@ def test_modes():
     assert QuarterCarEnv.metadata["render_fps"] == rendering.FRAMES_PER_SECOND == 60
 
 
-def test_a_batch_draws_nothing_and_says_so():
-    envs = gymnasium.make_vec(ID, num_envs=2)
-    envs.reset(seed=0)
-    with pytest.raises(NotImplementedError, match="render function is not implemented"):
-        envs.render()
+def test_gymnasiums_own_batch_draws():
     envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync", render_mode="rgb_array")
     envs.reset(seed=0)
     first, second = envs.render()

@@ -65,11 +65,11 @@ def test_mean_gap_counts_every_point_that_has_one_and_tells_of_the_others():
     said = mean_gap_closed(found, "agent")
     assert said.startswith("agent closes 20.0 ±")
     assert "on average over the 2 of 4 operating points that have one" in said
-    assert re.search(r"\(2 of 4 points\), its cost is 10.0 ±[0-9.]+% above that of the best constant D on average, ", said)
-    assert re.search(r", 15.0 ±[0-9.]+% above at worst \(nu = 4, delta = 0.1\)", said)
+    assert re.search(r"\(2 of 4 points\), its cost is 10.0 ±[0-9.]+ % above that of the best constant D on average, ", said)
+    assert re.search(r", 15.0 ±[0-9.]+ % above at worst \(nu = 4, delta = 0.1\)", said)
     better = mean_gap([evaluation(0.9 * rivals["optimal_feedback"].costs)], rivals, references)
-    assert "10.9 ±0.0% below" in mean_gap_closed(dataclasses.replace(found, mean_gaps={"agent": better}), "agent")
-    assert said in table(found)
+    assert "10.9 ±0.0 % below" in mean_gap_closed(dataclasses.replace(found, mean_gaps={"agent": better}), "agent")
+    assert said in " ".join(table(found).split())
     assert json.loads(found.to_json())["mean_gap_closed"]["agent"]["closed"]["value"] == gap.closed.value
 
 

@@ -1,6 +1,7 @@
 """The roads: parameters, exact laws, boundedness, and negative controls that must fail."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -179,6 +180,14 @@ def test_variances_and_shape():
     assert road.variance == pytest.approx(1 / (2 / 0.81 + 4 * 0.2 * 1.7 / road.noise_intensity**2))  # (12)
 
 
+def test_the_shape_is_a_parameter_by_name():
+    parameters = {"shape": 3.0, "bandwidth": 0.2, "level_bound": 0.9, "wavenumber": 1.7}
+    road = make_road({"kind": "multiplicative", **parameters})
+    assert road == MultiplicativeRoad.from_shape(**parameters)
+    assert make_road({"kind": "multiplicative", "shape": 3.0}).shape == 3.0
+    assert make_road(json.loads(json.dumps(dataclasses.asdict(road)))) == road
+
+
 @pytest.mark.parametrize("name", ["gaussian", "multiplicative"])
 def test_another_bandwidth_keeps_variance_and_shape(name):
     road = make_road(name)
@@ -206,6 +215,16 @@ def test_road_survives_being_a_mapping(name):
         ({"kind": "harmonic", "amplitude": "high"}, "amplitude must be a number, got 'high'"),
         ({"kind": "multiplicative", "slope_bound": 0}, "slope_bound must be positive, got 0"),
         ({"kind": "harmonic", "wavenumber": 0}, "wavenumber must be positive, got 0"),
+        (
+            {"kind": "multiplicative", "shpe": 1},
+            "known: wavenumber, bandwidth, noise_intensity, level_bound, slope_bound, shape",
+        ),
+        (
+            {"kind": "multiplicative", "shape": 1, "noise_intensity": 1},
+            "parameter 'noise_intensity' of road 'multiplicative' cannot be given beside 'shape'; known: shape, bandwidth, ",
+        ),
+        ({"kind": "multiplicative", "shape": 0}, "shape must be positive, got 0"),
+        ({"kind": "gaussian", "shape": 1}, "unknown parameter 'shape' of road 'gaussian'"),
         (3, "road must be a name, a mapping or a Road, got 3"),
     ],
 )

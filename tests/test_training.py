@@ -402,6 +402,41 @@ def test_hyperparameter_files(tmp_path, monkeypatch):
     assert load_hyperparameters("ppo", "ppo_plain") == load_hyperparameters("ppo") | plain
     with pytest.raises(ParameterError, match=r"cannot read hyperparameters from 'no.yaml': .* by name there are: a2c, "):
         load_hyperparameters("ppo", "no.yaml")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{env_wrapper: gymnasium.wrappers.TimeLimit}", "env_wrapper must be agents.wrappers.learning alone, got 'gymnasium"),
+        (
+            "{env_wrapper: [agents.wrappers.learning, other.one]}",
+            "env_wrapper must be agents.wrappers.learning alone, got ['",
+        ),
+        ("{noise_type: ornstein-uhlenbeck}", "noise_type must be normal, got 'ornstein-uhlenbeck'"),
+        ("{policy_kwargs: \"dict(net_arch=open('x'))\"}", "policy_kwargs must be a mapping, or dict(...) of plain values and "),
+        ('{policy_kwargs: "print(1)"}', "policy_kwargs must be a mapping, or dict(...) of plain values and classes of nn"),
+        (
+            '{normalize: "dict(True)"}',
+            "normalize must be a mapping, or dict(...) of plain values and classes of nn, got",
+        ),
+    ],
+)
+def test_what_a_file_of_the_zoo_may_not_ask_for(tmp_path, content, message):
+    file = tmp_path / "own.yaml"
+    file.write_text(f"roadgym/QuarterCar-v0: {content}")
+    with pytest.raises(ParameterError, match=re.escape(message)):
+        load_hyperparameters("ppo", file)
+
+
+def test_the_wrapper_of_a_file_brings_its_defaults(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text('roadgym/QuarterCar-v0: {env_wrapper: agents.wrappers.learning, normalize: "dict(norm_obs=False)"}')
+    assert load_hyperparameters("ppo", file) == {
+        "features": ["signals", "products", "lookahead"],
+        "training_reward": "advantage",
+        "normalize": {"norm_obs": False},
+    }
+
     with pytest.raises(ParameterError, match="unknown algorithm 'dreamer'; known: ppo, sac, td3, "):
         load_hyperparameters("dreamer")
     file = tmp_path / "own.yaml"

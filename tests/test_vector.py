@@ -14,6 +14,7 @@ from plants import EVERY_PLANT, plant_name
 
 import analysis
 import roadgym
+from agents.wrappers import learning
 from roadgym import ParameterError
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -37,16 +38,15 @@ def test_environment_i_equals_the_single_one_with_seed_plus_i(plant):
         env = gymnasium.make(ID, max_episode_steps=limit, **plant, **RANGES)
         observation, info = env.reset(seed=100 + i)
         np.testing.assert_array_equal(observation, observations[i])
-        assert info["speed"] == infos["speed"][i]
+        assert info == {name: infos[name][i] for name in info}
         over = False
         for (obs, rewards, terminated, truncated, infos_now), action in zip(batch, actions, strict=True):
             if over:
-                observation, _ = env.reset()
+                observation, info = env.reset()
                 reward, over = 0.0, False
             else:
                 observation, reward, _, over, info = env.step(action[i])
-                for name in ("displacement", "travel", "damping", "speed"):
-                    assert infos_now[name][i] == pytest.approx(info[name], rel=1e-6)
+            assert info == {name: infos_now[name][i] for name in info}
             np.testing.assert_array_equal(observation, obs[i])
             assert reward == rewards[i]
             assert truncated[i] == over
@@ -132,12 +132,33 @@ def test_registered_time_limit():
     assert [bool(envs.step(action)[3].all()) for _ in range(501)] == [False] * 499 + [True, False]
 
 
+@every_plant
+def test_infos_tell_the_same_at_a_reset_as_after_a_step(plant):
+    """As recorders want it: Minari stacks them."""
+    env, envs = gymnasium.make(ID, warm_up=1.0, **plant), gymnasium.make_vec(ID, 3, warm_up=1.0, **plant)
+    began, drove = env.reset(seed=1)[1], env.step(np.array([0.3], np.float32))[4]
+    assert list(began) == list(drove)
+    assert {type(number) for number in (*began.values(), *drove.values())} == {float}
+    assert {name: began[name] for name in (*roadgym.MEAN_SQUARES, "damping")} == dict.fromkeys(
+        (*roadgym.MEAN_SQUARES, "damping"), 0.0
+    )
+    all_began, all_drove = envs.reset(seed=1)[1], envs.step(np.full((3, 1), 0.3, np.float32))[4]
+    assert list(all_began) == list(all_drove)
+    for infos in (all_began, all_drove):
+        for name in began:
+            assert infos[name].dtype == np.float64
+            assert infos[name].shape == infos["_" + name].shape == (3,)
+
+
 def test_seeds_may_be_a_list_and_options_may_differ():
     envs = QuarterCarVectorEnv(3, **RANGES)
     by_list, _ = envs.reset(seed=[5, 6, 7])
     np.testing.assert_array_equal(by_list, envs.reset(seed=5)[0])
     _, info = envs.reset(options={"speed": [0.8, 1.0, 1.9]})
     assert info["speed"] == pytest.approx([0.8, 1.0, 1.9])
+    drawn = envs.reset(seed=5)[1]["speed"]
+    _, info = envs.reset(seed=5, options={"speed": [0.8, None, 1.9], "bandwidth": None})
+    assert info["speed"].tolist() == pytest.approx([0.8, drawn[1], 1.9])
     with pytest.raises(ParameterError, match="option 'speed' must be a number or 3 numbers"):
         envs.reset(options={"speed": [0.8, 1.0]})
     with pytest.raises(ParameterError, match="seed must be one integer or 3 of them"):
@@ -263,3 +284,10 @@ def test_theory_holds_inside_the_environment(plant):
 def test_bad_parameters_are_refused_by_name(parameters, message):
     with pytest.raises(ParameterError, match=message):
         QuarterCarVectorEnv(**parameters)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_the_autoreset_mode_is_an_attribute(mode):
+    """Where TorchRL looks for it, as in Gymnasium's own vector environments."""
+    envs = gymnasium.make_vec(ID, 2, autoreset_mode=mode.name)
+    assert envs.autoreset_mode is envs.metadata["autoreset_mode"] is learning(envs).autoreset_mode is mode

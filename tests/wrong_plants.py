@@ -96,9 +96,9 @@ class DoubleCorner(FirstOrderRoad):
 
 
 class DoubleCornerNoise(LowPassSpeedNoise):
-    @property
-    def rates(self):
-        return 2 * self.corner_frequency, 2 * self.corner_frequency, 0.0
+    def table(self, interval, natural_frequency, road):
+        right = LowPassSpeedNoise(intensity=self.intensity, corner_frequency=2 * self.corner_frequency)
+        return right.table(interval, natural_frequency, road)
 
 
 @LaneFunction

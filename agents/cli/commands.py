@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import itertools
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from roadgym import ParameterError
 from roadgym.installation import require
 
-from .options import environment_from, refuse_environment
+from .options import environment_from, given_environment, refuse, refuse_environment, refuse_observation
+
+DESCRIPTION = "agent.json"
 
 
 def _grid(chosen: argparse.Namespace) -> dict[str, Any]:
@@ -33,6 +38,8 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
 
     points = _grid(chosen)
     task = make_task(**observed_in_full(environment))
+    if task.bandwidth[1] == 0:
+        refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
     make_points(task, **points)
     for name in getattr(chosen, "controllers", None) or ():
         make_controller(name, task)
@@ -40,29 +47,48 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     whole("seed", chosen.seed, low=0)
 
 
-def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
-    from ..progress import training_progress
-    from ..training import load_hyperparameters, train
+def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Those of the file, with the wrappers of the command line."""
+    from ..hyperparameters import load_hyperparameters
+    from ..wrappers import wrapper_name
 
-    with training_progress() as report:
-        return train(
-            folder,
-            algorithm=chosen.algorithm,
-            environment=environment,
-            hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
-            seed=seed,
-            timesteps=chosen.timesteps,
-            checkpoint_interval=chosen.checkpoint_interval,
-            resume=resume,
-            tensorboard=getattr(chosen, "tensorboard", False),
-            report=report,
-        )
+    found = load_hyperparameters(chosen.algorithm, chosen.hyperparameters)
+    added = {"wrappers": [*found.get("wrappers", ()), *map(wrapper_name, chosen.wrapper)]}
+    return found | (added if chosen.wrapper else {})
+
+
+def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
+    """Train an agent, or go on with it: then what is given must be what it was trained with."""
+    from ..training import train
+
+    def given(value: Any, *names: str) -> Any:
+        return value if not resume or chosen.given & set(names) else None
+
+    return train(
+        folder,
+        algorithm=given(chosen.algorithm, "algorithm"),
+        environment=environment,
+        hyperparameters=given(_hyperparameters(chosen), "hyperparameters", "wrapper"),
+        seed=given(seed, "seed"),
+        timesteps=chosen.timesteps,
+        checkpoint_interval=chosen.checkpoint_interval,
+        resume=resume,
+        imports=chosen.imports,
+        tensorboard=getattr(chosen, "tensorboard", False),
+    )
 
 
 def run_train(chosen: argparse.Namespace) -> None:
     """``roadgym train``."""
+    from ..agent import read_description
+
     folder = Path(chosen.output)
-    agent = _train(chosen, folder, None if chosen.resume else environment_from(chosen), seed=chosen.seed, resume=chosen.resume)
+    if chosen.resume:
+        known = read_description(folder)["environment"]
+        environment = {**known, **given_environment(chosen)}
+    else:
+        environment = environment_from(chosen)
+    agent = _train(chosen, folder, environment, seed=chosen.seed, resume=chosen.resume)
     print(f"trained for {agent.description['timesteps']} steps: {folder}")
 
 
@@ -70,7 +96,6 @@ def run_tune(chosen: argparse.Namespace) -> None:
     """``roadgym tune``."""
     from ..progress import tuning_progress
     from ..records import make_output
-    from ..training import load_hyperparameters
     from ..tuning import tune, write_best
 
     if chosen.output:
@@ -82,7 +107,7 @@ def run_tune(chosen: argparse.Namespace) -> None:
             trials=chosen.trials,
             timesteps=chosen.timesteps,
             environment=environment_from(chosen),
-            hyperparameters=load_hyperparameters(chosen.algorithm, chosen.hyperparameters),
+            hyperparameters=_hyperparameters(chosen),
             seed=chosen.seed,
             report=report,
         )
@@ -111,6 +136,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         refuse_environment(chosen)
     else:
         environment = environment_from(chosen)
+        refuse_observation(chosen)
         name = chosen.controller
         controller = make_controller(name, make_task(**observed_in_full(environment)))
     _check_evaluation(chosen, environment)
@@ -156,6 +182,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
     from ..progress import work_progress
     from ..records import LOCK, locked, make_folder
 
+    seeds = range(0)
     if chosen.agent:
         refuse_environment(chosen)
         known: dict[Path, str] = {}
@@ -163,35 +190,103 @@ def run_compare(chosen: argparse.Namespace) -> None:
             other = known.setdefault(Path(name).resolve(), name)
             if other is not name:
                 raise ParameterError(f"--agent has the same folder twice, {other!r} and {name!r}")
-        learned, environment = group_agents({folder: load(folder) for folder in chosen.agent})
+        loaded = {folder: load(folder) for folder in chosen.agent}
+        _refuse_training(chosen, {folder: agent.description for folder, agent in loaded.items()})
+        learned, environment = group_agents(loaded)
+        kinds = [_kind(agent.description) for agent in loaded.values()]
     else:
         learned, environment = {AGENT: []}, environment_from(chosen)
-        whole("seeds", chosen.seeds)
+        seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
+        kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
-    folder = make_folder(chosen.output)
+    folder = make_folder(_results_folder(chosen, kinds))
+    steps = len(seeds) + 2
     with locked(folder / LOCK, "comparison"):
         remove_parts(folder)
-        for seed in () if chosen.agent else range(chosen.seed, chosen.seed + chosen.seeds):
+        for number, seed in enumerate(seeds, 1):
             place = folder / f"agent-{seed}"
-            same = _same_agent(chosen, place, environment, seed)
-            learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=same))
-        with work_progress() as report:
-            comparison = compare(
-                learned,
-                environment=environment,
-                episodes=chosen.episodes,
-                seed=chosen.seed,
-                report=report,
-                controllers=chosen.controllers,
-                **_grid(chosen),
-            )
+            _tell(f"step {number} of {steps}: training {place}")
+            learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=(place / DESCRIPTION).exists()))
+        _tell(f"step {steps - 1} of {steps}: driving")
+        comparison = compare(
+            learned,
+            environment=environment,
+            episodes=chosen.episodes,
+            seed=chosen.seed,
+            controllers=chosen.controllers,
+            **_grid(chosen),
+        )
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
+        _tell(f"step {steps} of {steps}: drawing and writing")
         with work_progress() as report:
             files = write(comparison, folder, report)
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
+
+
+def _tell(what: str) -> None:
+    print(what, file=sys.stderr, flush=True)
+
+
+def _refuse_training(chosen: argparse.Namespace, descriptions: Mapping[str, Mapping[str, Any]]) -> None:
+    """With agents that are trained already nothing is trained."""
+    folder, known = next(iter(descriptions.items()))
+    for name in ("algorithm", "timesteps"):
+        value = known[name]
+        why = f"as {getattr(chosen, name)!r} with --agent, which trains nothing: {folder!r} was trained with {value!r}"
+        refuse(chosen, [name], why)
+    refuse(chosen, ["hyperparameters", "wrapper", "checkpoint_interval", "seeds"], "with --agent, which trains nothing")
+
+
+def _kind(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What agents have in common that differ in the seed alone."""
+    return {name: description[name] for name in ("algorithm", "environment", "hyperparameters")}
+
+
+def _asked(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, Any]:
+    """The kind of agent that is to be trained."""
+    from ..records import plain
+
+    asked = {**vars(chosen), "environment": environment, "hyperparameters": _hyperparameters(chosen)}
+    found: dict[str, Any] = plain(_kind(asked))
+    return found
+
+
+def _results_folder(chosen: argparse.Namespace, kinds: list[dict[str, Any]]) -> Path:
+    """The folder of the results: the one that is given, or the first that holds no results of other agents.
+
+    Raises:
+        AgentError: the given one does.
+    """
+    from ..errors import AgentError
+
+    base = Path(chosen.output)
+    if "output" in chosen.given:
+        other = _other_agent(chosen, base, kinds)
+        if other is not None:
+            raise AgentError(f"{str(base)!r} holds an agent of other options, {other}: choose another folder with --output")
+        return base
+    names = (base if number == 1 else base.with_name(f"{base.name}-{number}") for number in itertools.count(1))
+    return next(folder for folder in names if _other_agent(chosen, folder, kinds) is None)
+
+
+def _other_agent(chosen: argparse.Namespace, folder: Path, kinds: list[dict[str, Any]]) -> str | None:
+    """An agent of another kind whose training or comparison ``folder`` holds, or one trained for longer than asked; or None."""
+    from ..agent import read_description
+    from ..training import outlasts
+
+    for place in sorted(folder.glob(f"agent-*/{DESCRIPTION}")):
+        description = read_description(place.parent)
+        if _kind(description) not in kinds or (not chosen.agent and outlasts(description, chosen.timesteps)):
+            return place.parent.name
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):  # somebody else's file
+        compared = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))["agents"]
+        for name, descriptions in compared.items():
+            if any(description is not None and _kind(description) not in kinds for description in descriptions):
+                return str(name)
+    return None
 
 
 def run_drive(chosen: argparse.Namespace) -> None:
@@ -201,6 +296,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
     from ..agent import load
     from ..comparison import observed_in_full
     from ..driving import check_output, drive, find_rival, make_driver
+    from ..names import title
     from ..progress import work_progress
 
     if chosen.output:
@@ -211,9 +307,11 @@ def run_drive(chosen: argparse.Namespace) -> None:
     agents = [agent for _, agent in found if agent]
     if agents:
         refuse_environment(chosen)
+    else:
+        refuse_observation(chosen)
     environment = agents[0].description["environment"] if agents else environment_from(chosen)
     task = make_task(**observed_in_full(environment))
-    drivers = [(name, make_driver(name, agent, task)) for name, agent in found]
+    drivers = [(name if agent else title(name), make_driver(name, agent, task)) for name, agent in found]
     with work_progress() as report:
         drive(
             drivers,
@@ -291,6 +389,8 @@ def run_figures(chosen: argparse.Namespace) -> None:
 
     from ..progress import work_progress
 
+    if chosen.only and 7 not in chosen.only:
+        refuse(chosen, ["full"], "without Fig. 7, which alone it changes")
     with work_progress() as report:
         files = write(chosen.output, chosen.only, full=chosen.full, report=report)
     for file in files:
@@ -301,6 +401,10 @@ def run_explore(chosen: argparse.Namespace) -> None:
     """``roadgym explore``."""
     from analysis import explorer
 
+    names = [name for name, _ in chosen.value]
+    for name in names:
+        if names.count(name) > 1:
+            raise ParameterError(f"--value gives {name!r} twice")
     view = {"road": chosen.road, "speed_noise": chosen.speed_noise, **dict(chosen.value)}
     print(explorer.write(chosen.output, view | ({"weights": chosen.weights} if chosen.weights else {})))
 
@@ -336,21 +440,3 @@ def run_cache(chosen: argparse.Namespace) -> None:
         for path in kept_files(cache_folder()):
             path.unlink(missing_ok=True)
         print("cleared")
-
-
-def _same_agent(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any], seed: int) -> bool:
-    """Does the folder hold an agent that this very command began? Then it is resumed; any other is an error of training."""
-    from ..agent import DESCRIPTION, load
-    from ..records import plain
-    from ..training import load_hyperparameters
-
-    if not (folder / DESCRIPTION).exists():
-        return False
-    known = load(folder).description
-    asked = {
-        "algorithm": chosen.algorithm,
-        "environment": plain(environment),
-        "hyperparameters": plain(load_hyperparameters(chosen.algorithm, chosen.hyperparameters)),
-        "seed": seed,
-    }
-    return all(known.get(name) == value for name, value in asked.items())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from typing import Any
 
 from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar
@@ -32,6 +33,8 @@ def weights(text: str) -> dict[str, float]:
     found = {}
     for part in text.split(","):
         name, separator, value = part.partition("=")
+        if name.strip() in found:
+            raise argparse.ArgumentTypeError(f"{name.strip()!r} has two weights")
         try:
             found[name.strip()] = float(value) if separator else 1.0
         except ValueError:
@@ -86,7 +89,7 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def add_training(parser: argparse.ArgumentParser, *, checkpoints: bool = True) -> None:
+def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: bool = True) -> None:
     """Options of training."""
     group = parser.add_argument_group("training")
     group.add_argument(
@@ -102,13 +105,24 @@ def add_training(parser: argparse.ArgumentParser, *, checkpoints: bool = True) -
         "(the algorithm's own)",
     )
     group.add_argument(
-        "--timesteps", type=int, help="control intervals to train for, instead of the hyperparameters' n_timesteps"
+        "--wrapper",
+        dest="wrapper",
+        action="append",
+        default=[],
+        metavar="MODULE:NAME",
+        help="a Gymnasium vector wrapper around the batch of training, such as one with your own reward; may be given again",
+    )
+    group.add_argument(
+        "--timesteps",
+        type=int,
+        metavar="N",
+        help="control intervals to train for, completed to whole rollouts (the hyperparameters' n_timesteps)",
     )
     if checkpoints:
         group.add_argument(
-            "--checkpoint-interval", type=int, default=100_000, help="timesteps between checkpoints (%(default)s)"
+            "--checkpoint-interval", type=int, default=100_000, metavar="N", help="timesteps between checkpoints (%(default)s)"
         )
-    group.add_argument("--seed", type=int, default=0, help="seed of training and of the evaluation's roads (%(default)s)")
+    group.add_argument("--seed", type=int, default=0, help=f"seed of {seed_of} (%(default)s)")
 
 
 def add_evaluation(parser: argparse.ArgumentParser, *, seed: bool = False) -> None:
@@ -123,9 +137,9 @@ def add_evaluation(parser: argparse.ArgumentParser, *, seed: bool = False) -> No
 
 def add_environment(parser: argparse.ArgumentParser) -> None:
     """Options of the environment."""
-    group = parser.add_argument_group(
-        "environment", "by default the bounded road over a range of speeds and bandwidths; with --agent, what it was trained on"
-    )
+    options = {option for action in parser._actions for option in action.option_strings}
+    held = "; with --agent, what it was trained on" if "--agent" in options else ""
+    group = parser.add_argument_group("environment", f"by default the bounded road over a range of speeds and bandwidths{held}")
     for parameter, (option, how) in ENVIRONMENT.items():
         group.add_argument(option, dest=f"environment_{parameter}", **how)
 
@@ -150,7 +164,27 @@ def environment_from(chosen: argparse.Namespace) -> dict[str, Any]:
     return environment
 
 
+def refuse(chosen: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Options that would have no effect are refused where they are given, for a reason.
+
+    Args:
+        chosen: what was parsed; ``given`` has the names of what was given.
+        names: of the options, as in ``chosen``.
+        why: told after the option.
+    """
+    for name in names:
+        if name in chosen.given:
+            parameter = name.removeprefix("environment_")
+            option = ENVIRONMENT[parameter][0] if name != parameter else f"--{name.replace('_', '-')}"
+            raise ParameterError(f"{option} cannot be given {why}")
+
+
 def refuse_environment(chosen: argparse.Namespace) -> None:
     """With an agent the environment is given."""
-    for parameter in given_environment(chosen):
-        raise ParameterError(f"{ENVIRONMENT[parameter][0]} cannot be given with --agent: the agent's environment holds")
+    refuse(chosen, (f"environment_{name}" for name in ENVIRONMENT), "with --agent: the agent's environment holds")
+
+
+def refuse_observation(chosen: argparse.Namespace) -> None:
+    """Where classical controllers drive alone, nobody observes."""
+    observed = ("environment_observation", "environment_observe_operating_point")
+    refuse(chosen, observed, "with --controller: it is handed the signals that it needs")

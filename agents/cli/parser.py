@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import Any
 
 from roadgym import ROADS, SPEED_NOISES, __version__
 
+from ..benchmark import CASES
+from ..names import CONTROLLERS_SHOWN
 from .commands import (
     run_benchmark,
     run_cache,
@@ -21,6 +24,8 @@ from .commands import (
     run_tune,
 )
 from .options import ENVIRONMENT, add_environment, add_evaluation, add_training, component, nonempty, weights
+
+CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -39,7 +44,7 @@ def make_parser() -> argparse.ArgumentParser:
     train.add_argument("--output", type=nonempty, required=True, metavar="DIR", help="folder of the agent")
     train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
     train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
-    add_training(train)
+    add_training(train, seed_of="training")
     add_environment(train)
 
     tune = _command(
@@ -54,7 +59,7 @@ def make_parser() -> argparse.ArgumentParser:
     tune.add_argument(
         "--output", type=nonempty, metavar="FILE", help="write the best as YAML that train --hyperparameters takes"
     )
-    add_training(tune, checkpoints=False)
+    add_training(tune, seed_of="the search, of training and of the evaluation's roads", checkpoints=False)
     add_environment(tune)
 
     evaluate = _command(
@@ -62,7 +67,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
     who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
-    who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
+    who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     add_evaluation(evaluate, seed=True)
     add_environment(evaluate)
@@ -75,7 +80,11 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym compare --output results",
     )
     compare.add_argument(
-        "--output", type=nonempty, default="roadgym-results", metavar="DIR", help="folder of the results (%(default)s)"
+        "--output",
+        type=nonempty,
+        default="roadgym-results",
+        metavar="DIR",
+        help="folder of the results (%(default)s, with a number where that holds others)",
     )
     compare.add_argument(
         "--agent",
@@ -88,8 +97,13 @@ def make_parser() -> argparse.ArgumentParser:
         "--seeds", type=int, default=1, help="agents to train, each of another seed from --seed on (%(default)s)"
     )
     compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    compare.add_argument("--controllers", nargs="+", metavar="NAME", help="classical controllers to compare with")
-    add_training(compare)
+    compare.add_argument(
+        "--controllers",
+        nargs="+",
+        metavar="NAME",
+        help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
+    )
+    add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
     add_environment(compare)
 
@@ -102,7 +116,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     who = drive.add_mutually_exclusive_group(required=True)
     who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
-    who.add_argument("--controller", metavar="NAME", help="a classical controller, such as skyhook")
+    who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
     drive.add_argument(
         "--output", type=nonempty, metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window"
@@ -139,7 +153,7 @@ def make_parser() -> argparse.ArgumentParser:
     benchmark = _command(
         commands, "benchmark", run_benchmark, "measure speed side by side with peers", "roadgym benchmark --output speed.json"
     )
-    benchmark.add_argument("--only", nargs="+", metavar="CASE", help="some cases only")
+    benchmark.add_argument("--only", nargs="+", metavar="CASE", help=f"some cases only, of {', '.join(CASES)}")
     benchmark.add_argument("--scaling", action="store_true", help="cost over the number of environments and substeps too")
     benchmark.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     benchmark.add_argument(
@@ -182,7 +196,7 @@ def make_parser() -> argparse.ArgumentParser:
         "show where the paper errs: both formulas, and evidence",
         "roadgym errata --only forcing",
     )
-    errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table")
+    errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table (all)")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
     cache = _command(
@@ -199,4 +213,28 @@ def make_parser() -> argparse.ArgumentParser:
 def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary, epilog=f"example: {example}")
     parser.set_defaults(run=run)
+    parser.add_argument(
+        "--import",
+        dest="imports",
+        type=nonempty,
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="import a Python module first, for the components of your own that it registers; may be given again",
+    )
     return parser
+
+
+def given_options(arguments: Sequence[str] | None) -> frozenset[str]:
+    """Names of the options that are given, whatever their values; the arguments must be right."""
+    parser = make_parser()
+    for command in _commands(parser).values():
+        for action in command._actions:
+            action.default = argparse.SUPPRESS
+    return frozenset(vars(parser.parse_args(arguments)))
+
+
+def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The commands by name."""
+    (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return dict(found.choices)

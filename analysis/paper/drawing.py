@@ -23,7 +23,7 @@ SERIES: tuple[tuple[str, Any], ...] = (
     (BLUE, (0, (6, 1.5))),
     (VERMILION, "-."),
     (GREEN, (0, (3, 1))),
-    (ORANGE, "-"),
+    (ORANGE, (0, (8, 1.5, 1, 1.5))),
     (PURPLE, (0, (5, 1, 1, 1, 1, 1))),
     (SKY, (0, (1, 0.8))),
     ("#7F7F7F", "--"),

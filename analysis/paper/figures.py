@@ -136,14 +136,14 @@ def figure_2(full: bool = False, report: Report | None = None) -> Drawing:
     figure, [[axis]] = panels()
     place, ratio = _all_speeds()
     columns: dict[str, npt.ArrayLike] = {"axis (1)": place, "frequency ratio (1)": ratio}
-    for damping, line in ((0.1, "-"), (0.2, (0, (5, 1.5)))):
-        for road, color, name, label in (
-            (HarmonicRoad(), VERMILION, "amplitude ratio", "harmonic road, $Y/Z$"),
-            (FirstOrderRoad(), BLUE, "deviation ratio", "random road, $\\sigma_y/\\sigma_z$"),
+    for number, damping in enumerate((0.1, 0.2)):
+        for road, color, lines, name, label in (
+            (HarmonicRoad(), VERMILION, ("-", (0, (5, 1.5))), "amplitude ratio", "harmonic road, $Y/Z$"),
+            (FirstOrderRoad(), BLUE, ("-.", (0, (1, 0.8))), "deviation ratio", "random road, $\\sigma_y/\\sigma_z$"),
         ):
             values = _deviation(road, damping, ratio, "displacement", 0.0)
             columns[f"{name} at D={damping:g} (1)"] = values
-            axis.plot(place, values, color=color, linestyle=line, label=f"{label}, $D = {damping:g}$", **STYLE)
+            axis.plot(place, values, color=color, linestyle=lines[number], label=f"{label}, $D = {damping:g}$", **STYLE)
     _draw_speed_axis(axis)
     axis.set_ylim(bottom=0)
     axis.set_ylabel("response over excitation (1)")
@@ -202,7 +202,7 @@ def _bandwidth_figure(quantity: str, limit: float, label: str) -> Drawing:
     figure, [[axis]] = panels()
     place, ratio = _all_speeds()
     columns: dict[str, npt.ArrayLike] = {"axis (1)": place, "frequency ratio (1)": ratio}
-    styles = ((VERMILION, "-"), *SERIES[:2], SERIES[3], SERIES[6])
+    styles = ((VERMILION, "-."), *SERIES[:2], SERIES[3], SERIES[6])
     for bandwidth, (color, line) in zip((0.0, 0.05, 0.1, 0.2, 0.5), styles, strict=True):
         road = GaussianRoad(bandwidth=bandwidth) if bandwidth else HarmonicRoad()
         values = _deviation(road, 0.105, ratio, quantity, limit)
@@ -303,15 +303,24 @@ def figure_7(full: bool = False, report: Report | None = None) -> Drawing:
 
 
 def _resonances(
-    axis: Any, columns: dict[str, npt.ArrayLike], cases: Sequence[tuple[str, str, SpeedNoise | None]], form: str, **style: Any
+    axis: Any,
+    columns: dict[str, npt.ArrayLike],
+    cases: Sequence[tuple[str, str, SpeedNoise | None]],
+    form: str,
+    marks: str = "",
+    **style: Any,
 ) -> None:
-    """|E C| over the speed for each case (name, label, noise), D = 0.1, into a panel and into the table."""
+    """|E C| over the speed for each case (name, label, noise), D = 0.1, into a panel and into the table.
+
+    Each case has a line style of its own, or one of ``marks`` where ``style`` has one for all.
+    """
     speed = np.linspace(0.0, 2.0, 401)
     columns["frequency ratio (1)"] = speed
-    for (name, label, noise), (color, line) in zip(cases, SERIES, strict=False):
+    for number, ((name, label, noise), (color, line)) in enumerate(zip(cases, SERIES, strict=False)):
         values = np.abs(mean_amplitude(noise, damping=0.1, speed=speed, form=form))
         columns[f"{form} at {name} (1)"] = values
-        axis.plot(speed, values, **{"color": color, "linestyle": line, "label": label, **STYLE, **style})
+        own = {"marker": marks[number], "markevery": (8 * number, 40), "markersize": 4.5} if marks else {}
+        axis.plot(speed, values, **{"color": color, "linestyle": line, "label": label, **STYLE, **own, **style})
     axis.set(xlim=(0, 2), xticks=[0, 0.5, 1, 1.5, 2], xlabel=SPEED_LABEL)
 
 
@@ -340,8 +349,8 @@ def figure_9(full: bool = False, report: Report | None = None) -> Drawing:
         for corner in (0.0, 0.1, 0.5, 1.0, 5.0):
             noise = LowPassSpeedNoise(intensity=intensity, corner_frequency=corner) if corner else None
             cases.append((f"sigma={intensity:g} corner={corner:g}", f"{corner:g}", noise))
-        _resonances(axis, columns, cases, "exact", linestyle="-")
-        _resonances(axis, columns, cases, "closure", linestyle=(0, (1, 1.2)), label=None, linewidth=2.0)
+        _resonances(axis, columns, cases, "exact", "os^Dv", linestyle="-")
+        _resonances(axis, columns, cases, "closure", "os^Dv", linestyle=(0, (1, 1.2)), label=None, linewidth=2.0)
         axis.plot([], [], color="#7F7F7F", linestyle=(0, (1, 1.2)), linewidth=2.0, label="closure (28), (29)")
         axis.set(title=f"$\\sigma = {intensity:g}\\sqrt{{\\omega_1}}$", ylim=(0, 5.5))
     axes[0, 0].set_ylabel(AMPLITUDE_LABEL)

@@ -83,9 +83,9 @@ def draw_cost_over_damping(path: Path) -> None:
     fine, driven = np.geomspace(0.05, 1.0, 200), np.geomspace(0.06, 0.9, 7)
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axis = figure.subplots()
-    for speed, color in ((1.0, VERMILION), (1.5, BLUE), (2.0, GREEN)):
+    for speed, color, line in ((1.0, VERMILION, "-"), (1.5, BLUE, "--"), (2.0, GREEN, "-.")):
         curve = analysis.mean_squares(road, damping=fine, speed=speed).displacement / road.variance
-        axis.plot(fine, curve, color=color, label=f"$\\nu = {speed:g}$")
+        axis.plot(fine, curve, color=color, linestyle=line, label=f"$\\nu = {speed:g}$")
         best = analysis.optimal_damping(road, speed=speed)
         axis.plot(best.damping, best.cost, marker="*", markersize=13, color=color, clip_on=False, linestyle="none", zorder=4)
         envs = gym.make_vec(roadgym.ENVIRONMENT_ID, num_envs=cars, max_episode_steps=None, road=road, speed=speed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -42,6 +43,7 @@ class Car(abc.ABC):
 
     kind: str = dataclasses.field(default="", init=False)
 
+    constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
     squared: ClassVar[int] = 0
     working_rows: ClassVar[int] = 0
     prepare: ClassVar[LaneFunction]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -48,6 +49,7 @@ class Road(abc.ABC):
     words_per_substep: ClassVar[int] = 2
     rows: ClassVar[int] = OWN_ROWS  # of its own, from COEFFICIENT on
     takes_phase_noise: ClassVar[bool] = False  # does ``advance`` heed TURN_EXCESS and TURN_VARIANCE, and turn backwards too
+    constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
     loss_range: ClassVar[str] = "loss"  # range of the bandwidth times the angle of a substep, in `roadgym.parameters.RANGES`
     prepare: ClassVar[LaneFunction | None] = None
     start: ClassVar[LaneFunction]

@@ -344,6 +344,7 @@ class MultiplicativeRoad(Road):
     level_bound: float = 1.0
     slope_bound: float | None = None
 
+    constructors = {"shape": "from_shape"}  # noqa: RUF012 - of the class, as its base declares
     prepare = prepare
     start = start
 

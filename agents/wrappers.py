@@ -1,0 +1,360 @@
+"""The recipe that learns well, as Gymnasium wrappers of the single environment and of the batch, for any library of learning.
+
+`learning` puts them on. They are what `agents.train` trains on, and one by one they are
+
+- `DampingAction`: an action in [-1, 1], or one of a number of levels, in place of the damping ratio;
+- `FeatureObservation`: features of the last observations, `agents.features`, in place of the observation;
+- `AdvantageReward`: the cost saved against the best constant damping, `agents.advantage_reward`, in place of minus the cost.
+
+Those of the batch have the same names after "Vector". They keep to its autoreset mode: a stack of observations begins anew with
+each episode, and the step that only begins one is paid 0.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, cast, overload
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import (
+    AutoresetMode,
+    VectorActionWrapper,
+    VectorEnv,
+    VectorWrapper,
+)
+from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers.vector import VectorizeTransformAction
+
+from roadgym.component import import_modules
+from roadgym.parameters import ParameterError, shown, single_precision, whole
+from roadgym.task import Task
+
+from .actions import action_space, damping_from_action
+from .advantage import has_advantage
+from .advantage_reward import SavedCost
+from .features import FEATURES, Rows, Sight
+
+Environment = gymnasium.Env[Any, Any]
+Batch = VectorEnv[Any, Any, Any]
+ActionLayer = VectorActionWrapper[Any, Any, Any, Any]
+
+
+def task_of(env: Environment | Batch) -> Task:
+    """The task of a `roadgym` environment or batch under any wrappers.
+
+    Raises:
+        ParameterError: it is another one's.
+    """
+    task = getattr(env.unwrapped, "task", None)
+    if not isinstance(task, Task):
+        raise ParameterError(f"env must be a roadgym environment, got {shown(env)}")
+    return task
+
+
+def training_reward(chosen: Any, task: Task) -> str:
+    """What is learned from: "cost", or "advantage" where it is ``chosen`` and theory knows it on this plant.
+
+    Raises:
+        ParameterError: something else is chosen.
+    """
+    if chosen not in ("cost", "advantage"):
+        raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
+    return chosen if has_advantage(task) else "cost"
+
+
+@overload
+def learning(
+    env: Environment,
+    *,
+    features: Sequence[str] | None = ...,
+    frame_stack: int = ...,
+    damping_levels: int | None = ...,
+    training_reward: str = ...,
+) -> Environment: ...
+
+
+@overload
+def learning(
+    env: Batch,
+    *,
+    features: Sequence[str] | None = ...,
+    frame_stack: int = ...,
+    damping_levels: int | None = ...,
+    training_reward: str = ...,
+) -> Batch: ...
+
+
+def learning(
+    env: Environment | Batch,
+    *,
+    features: Sequence[str] | None = FEATURES,
+    frame_stack: int = 1,
+    damping_levels: int | None = None,
+    training_reward: str = "advantage",
+) -> Environment | Batch:
+    """A `roadgym` environment, or a batch of them, as it learns well.
+
+    Args:
+        env: what `gymnasium.make` or `gymnasium.make_vec` gives.
+        features, frame_stack: what the policy sees; see `agents.features.Sight`.
+        damping_levels: number of damping ratios to choose from, at equal distances over the range; by default all of it.
+        training_reward: "advantage", where theory knows it, or "cost".
+
+    Raises:
+        ParameterError: one of these that is out of range.
+    """
+    paid = _paid(training_reward, task_of(env))
+    if isinstance(env, VectorEnv):
+        batch = VectorAdvantageReward(env) if paid == "advantage" else env
+        return VectorDampingAction(VectorFeatureObservation(batch, features, frame_stack), damping_levels)
+    single = AdvantageReward(env) if paid == "advantage" else env
+    return DampingAction(FeatureObservation(single, features, frame_stack), damping_levels)
+
+
+_paid = training_reward  # which `learning` has a parameter of the name of
+
+
+def find_wrapper(name: Any) -> Callable[[Batch], Batch]:
+    """The function or class of a "module:name", which takes a batch and gives one.
+
+    Raises:
+        ParameterError: there is none.
+    """
+    module, _, attribute = name.partition(":") if isinstance(name, str) else ("", "", "")
+    if not (module and attribute):
+        raise ParameterError(f"wrapper must be named as module:name, got {shown(name)}")
+    import_modules([module])
+    found: Any = getattr(sys.modules[module], attribute, None)
+    if not callable(found):
+        raise ParameterError(f"wrapper {name!r} cannot be found: the module has no such function")
+    return cast(Callable[[Batch], Batch], found)
+
+
+def wrapper_name(wrapper: Callable[[Batch], Batch] | str) -> str:
+    """The "module:name" of a wrapper, by which `find_wrapper` finds it again.
+
+    Raises:
+        ParameterError: it is not found, such as a lambda.
+    """
+    name = wrapper if isinstance(wrapper, str) else f"{wrapper.__module__}:{getattr(wrapper, '__qualname__', '')}"
+    if (found := find_wrapper(name)) is not wrapper and not isinstance(wrapper, str):
+        raise ParameterError(f"wrapper must be what its module has under its name, got {shown(wrapper)}, not {shown(found)}")
+    return name
+
+
+def wrap(batch: Batch, names: Sequence[str]) -> tuple[Batch, list[ActionLayer]]:
+    """The batch within the wrappers of these names, and those of them that an agent needs when it drives, the outermost first.
+
+    Raises:
+        ParameterError: what wraps nothing, or changes what is observed or answered in a way that an agent cannot repeat: the
+            observations at all, or the actions by more than a ``VectorActionWrapper`` that takes any number of rows.
+    """
+    layers: list[ActionLayer] = []
+    for name in names:
+        put_on = find_wrapper(name)
+        try:
+            outer = layer = put_on(batch)
+        except (TypeError, ValueError, AssertionError) as error:
+            raise ParameterError(f"wrapper {name!r}: {' '.join(str(error).split())}") from error
+        found: list[ActionLayer] = []
+        while layer is not batch:
+            if not isinstance(layer, VectorWrapper):
+                raise ParameterError(f"wrapper {name!r} must give a wrapper of the batch that it takes, got {shown(outer)}")
+            inner: Batch = layer.env
+            if isinstance(layer, VectorActionWrapper) and not isinstance(layer, VectorizeTransformAction):
+                found.append(layer)
+            elif layer.single_action_space != inner.single_action_space:
+                raise ParameterError(f"wrapper {name!r} changes actions: only a VectorActionWrapper may, of any number of rows")
+            if layer.single_observation_space != inner.single_observation_space:
+                raise ParameterError(f"wrapper {name!r} changes observations: an agent would not see them so when it drives")
+            layer = inner
+        batch, layers = outer, found + layers
+    return batch, layers
+
+
+class DampingAction(gymnasium.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
+    """Takes actions in [-1, 1], or ``levels`` of them, for damping ratios; see `agents.actions.damping_from_action`."""
+
+    def __init__(self, env: Environment, levels: int | None = None) -> None:
+        RecordConstructorArgs.__init__(self, levels=levels)
+        gymnasium.ActionWrapper.__init__(self, env)
+        self.levels = None if levels is None else whole("damping_levels", levels, low=2, of="levels")
+        self.action_space = action_space(self.levels)
+        self._range = task_of(env).damping_range
+
+    def action(self, action: Any) -> npt.NDArray[np.float32]:
+        """The damping ratio, shape (1,)."""
+        return damping_from_action(np.reshape(action, 1), self._range, self.levels).reshape(1)
+
+
+class FeatureObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Shows what a `agents.features.Sight` sees, with its arguments."""
+
+    def __init__(self, env: Environment, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
+        self.arguments: dict[str, Any] = {"features": features, "frame_stack": frame_stack}
+        RecordConstructorArgs.__init__(self, **self.arguments)
+        gymnasium.Wrapper.__init__(self, env)
+        self.sight = Sight(task_of(env), features, frame_stack)
+        self.observation_space = self.sight.space
+        self._frames: Rows | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._frames = None
+        return self._seen(observation), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Drive one control interval."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._seen(observation), reward, terminated, truncated, info
+
+    def _seen(self, observation: Rows) -> Rows:
+        rows = observation[None]
+        self._frames = self.sight.stack(self._frames, rows, None)
+        return np.asarray(self.sight(rows, self._frames)[0])
+
+
+class AdvantageReward(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Pays for the cost that is saved; see `agents.advantage_reward`. Infos keep minus the reward of ``env`` as "cost".
+
+    The advantage is made from the full state, whatever is observed. Actions must be damping ratios here.
+    """
+
+    def __init__(self, env: Environment) -> None:
+        RecordConstructorArgs.__init__(self)
+        gymnasium.Wrapper.__init__(self, env)
+        self._saved = SavedCost(_with_advantage(env), 1)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._look()
+        return observation, {**info, "cost": 0.0}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Drive one control interval."""
+        advantage = self._saved.advantage(single_precision("action", action, (1,))[None])
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        saved = self._saved.reward(np.array([-float(reward)]), advantage, np.ones(1, np.bool_))
+        self._look()
+        return observation, float(saved[0]), terminated, truncated, {**info, "cost": -float(reward)}
+
+    def _look(self) -> None:
+        plant: Any = self.env.unwrapped
+        self._saved.look(plant.state()[None])
+
+
+class _VectorWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
+    """A wrapper that knows which environments begin an episode; its autoreset mode is an attribute, as TorchRL reads it."""
+
+    def __init__(self, env: Batch) -> None:
+        super().__init__(env)
+        self.autoreset_mode: AutoresetMode = env.metadata["autoreset_mode"]
+        self._ended = np.zeros(env.num_envs, np.bool_)
+
+    def _begun(self, ended: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Whose observation after this step is the first of an episode, from who ended one in it; once a step."""
+        before, self._ended = self._ended, ended
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            return ended
+        return before if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
+
+    def _start(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_] | None:
+        """Who is reset with these options; None for everyone."""
+        mask = (options or {}).get("reset_mask")
+        self._ended = np.zeros_like(self._ended) if mask is None else self._ended & ~mask
+        return None if mask is None or np.all(mask) else mask
+
+
+class VectorDampingAction(_VectorWrapper):
+    """`DampingAction` of a batch: actions of shape (num_envs, 1), or (num_envs,) where they are levels."""
+
+    def __init__(self, env: Batch, levels: int | None = None) -> None:
+        super().__init__(env)
+        self.levels = None if levels is None else whole("damping_levels", levels, low=2, of="levels")
+        self.single_action_space = action_space(self.levels)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._range = task_of(env).damping_range
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Drive one control interval."""
+        return self.env.step(damping_from_action(actions, self._range, self.levels))
+
+
+class VectorFeatureObservation(_VectorWrapper):
+    """`FeatureObservation` of a batch."""
+
+    def __init__(self, env: Batch, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
+        super().__init__(env)
+        self.sight = Sight(task_of(env), features, frame_stack)
+        self.single_observation_space = self.sight.space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._frames: Rows | None = None
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episode, everywhere or where the options say."""
+        observations, info = self.env.reset(seed=seed, options=options)
+        mask, fresh = self._start(options), self.sight.stack(None, observations, None)
+        if mask is not None and fresh is not None and self._frames is not None:
+            fresh = np.where(mask[:, None], fresh, self._frames)
+        self._frames = fresh
+        return self.sight(observations, self._frames), info
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Drive one control interval."""
+        observations, rewards, terminated, truncated, info = self.env.step(actions)
+        if "final_obs" in info:
+            ended = np.flatnonzero(info["_final_obs"])
+            last = np.stack(info["final_obs"][ended])
+            before = None if self._frames is None else self._frames[ended]
+            seen = self.sight(last, self.sight.stack(before, last, None))
+            info = {**info, "final_obs": np.full(self.num_envs, None, object)}
+            for row, i in enumerate(ended):
+                info["final_obs"][i] = seen[row]
+        self._frames = self.sight.stack(self._frames, observations, self._begun(terminated | truncated))
+        return self.sight(observations, self._frames), rewards, terminated, truncated, info
+
+
+class VectorAdvantageReward(_VectorWrapper):
+    """`AdvantageReward` of a batch."""
+
+    def __init__(self, env: Batch) -> None:
+        super().__init__(env)
+        self._saved = SavedCost(_with_advantage(env), env.num_envs)
+        self._everyone = np.ones(env.num_envs, np.bool_)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episode, everywhere or where the options say."""
+        observations, info = self.env.reset(seed=seed, options=options)
+        mask = self._start(options)
+        self._look()
+        there = self._everyone if mask is None else mask
+        return observations, {**info, "cost": np.zeros(self.num_envs), "_cost": there.copy()}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Drive one control interval."""
+        advantage = self._saved.advantage(single_precision("actions", actions, (self.num_envs, 1)))
+        observations, rewards, terminated, truncated, info = self.env.step(actions)
+        begun = self._begun(terminated | truncated)
+        driven = ~begun if self.autoreset_mode is AutoresetMode.NEXT_STEP else self._everyone
+        cost = -np.asarray(rewards, np.float64)
+        saved = self._saved.reward(cost, advantage, driven)
+        self._look()
+        return observations, saved, terminated, truncated, {**info, "cost": cost, "_cost": self._everyone.copy()}
+
+    def _look(self) -> None:
+        plant: Any = self.env.unwrapped
+        self._saved.look(plant.state())
+
+
+def _with_advantage(env: Environment | Batch) -> Task:
+    """The task, which must have an advantage."""
+    task = task_of(env)
+    if not has_advantage(task):
+        raise ParameterError("env must be of a plant whose advantage theory knows: a second-order road at a constant speed")
+    return task

@@ -1,0 +1,129 @@
+"""Wrappers of one's own around the batch of training: what is paid, seen and answered, and what the trained agent keeps."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import agents
+import roadgym
+from agents.cli import main
+from agents.wrappers import find_wrapper
+from roadgym import ParameterError
+from roadgym.vector import QuarterCarVectorEnv
+
+MODULE = """
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import VectorActionWrapper, VectorWrapper
+from gymnasium.wrappers.vector import NormalizeObservation
+from agents.wrappers import VectorDampingAction
+
+class Comfort(VectorWrapper):
+    def step(self, actions):
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        return observations, -infos["acceleration"], terminated, truncated, infos
+
+class Doubled(VectorWrapper):
+    def __init__(self, env):
+        super().__init__(env)
+        width = env.single_observation_space.shape[0]
+        self.single_observation_space = spaces.Box(-np.inf, np.inf, (2 * width,), np.float32)
+
+class Mirrored(VectorActionWrapper):
+    def actions(self, actions):
+        return -actions
+
+def bare(envs):
+    return envs.unwrapped
+
+def levels(envs):
+    return VectorDampingAction(envs, 3)
+
+def nothing(envs):
+    return None
+"""
+TINY = {"n_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 1, "n_timesteps": 128, "policy_kwargs": {"net_arch": [8]}}
+PLANT = {"road": "gaussian", "speed": (0.7, 2.0)}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with a module of wrappers."""
+    (tmp_path / "own_wraps.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    yield tmp_path
+    sys.modules.pop("own_wraps", None)
+
+
+def test_own_rewards_are_what_is_learned_from(folder):
+    agent = agents.train("agent", environment=PLANT, hyperparameters=TINY, wrappers=[find_wrapper("own_wraps:Comfort")])
+    assert agent.description["hyperparameters"]["wrappers"] == ["own_wraps:Comfort"]
+    envs = agent.model.get_env()
+    envs.reset()
+    *_, infos = envs.step(np.zeros((8, 1), np.float32))
+    expected = [-info["acceleration"] for info in infos]
+    assert envs.get_original_reward().tolist() == pytest.approx(expected, rel=1e-6)
+
+
+def test_own_wrappers_are_put_on_again_where_the_agent_drives(folder):
+    agent = agents.train("agent", environment=PLANT, hyperparameters=TINY, wrappers=["own_wraps:Mirrored", "own_wraps:Comfort"])
+    loaded = agents.load("agent")
+    envs = QuarterCarVectorEnv(5, **PLANT)
+    observations, _ = envs.reset(seed=3)
+    damping, _ = loaded.predict(observations)
+    np.testing.assert_array_equal(damping, agent.predict(observations)[0])
+    answered, _ = agent.model.predict(observations, deterministic=True)
+    low, high = loaded.task.damping_range
+    np.testing.assert_allclose(damping, low + (1 - answered) * (high - low) / 2, rtol=1e-5)
+    assert np.ptp(damping) > 0
+
+
+def test_the_command_line_takes_wrappers_and_compares(folder, capsys):
+    (folder / "tiny.yaml").write_text(json.dumps({roadgym.ENVIRONMENT_ID: TINY}))
+    options = [
+        "--road",
+        "gaussian",
+        "--speed-range",
+        "0.7",
+        "2",
+        "--hyperparameters",
+        "tiny.yaml",
+        "--wrapper",
+        "own_wraps:Mirrored",
+    ]
+    drive = ["--speeds", "1", "--bandwidths", "0.1", "--episodes", "16", "--controllers", "d_max"]
+    assert main(["compare", "--output", "results", *options, *drive]) == 0
+    assert main(["compare", "--output", "results", *options, *drive]) == 0  # the same agent is gone on with
+    assert main(["evaluate", "--agent", "results/agent-0", *drive[:-2]]) == 0
+    sys.modules.pop("own_wraps")
+    (folder / "own_wraps.py").unlink()
+    capsys.readouterr()
+    assert main(["evaluate", "--agent", "results/agent-0"]) == 2
+    error = "cannot load the agent in 'results/agent-0': cannot import 'own_wraps': No module named 'own_wraps'\n"
+    assert capsys.readouterr().err == f"roadgym evaluate: {error}"
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "message"),
+    [
+        ("own_wraps:NormalizeObservation", "wrapper 'own_wraps:NormalizeObservation': Expected autoreset_mode to be"),
+        (
+            "own_wraps:Doubled",
+            "wrapper 'own_wraps:Doubled' changes observations: an agent would not",
+        ),
+        ("own_wraps:levels", "wrapper 'own_wraps:levels' changes actions: only a VectorActionWrapper may"),
+        ("own_wraps:bare", "wrapper 'own_wraps:bare' must give a wrapper of the batch that it takes, got "),
+        ("own_wraps:nothing", "wrapper 'own_wraps:nothing' must give a wrapper of the batch that it takes, got None"),
+        ("own_wraps:none", "wrapper 'own_wraps:none' cannot be found: the module has no such function"),
+        ("no_such:one", "cannot import 'no_such'"),
+        ("own_wraps", "wrapper must be named as module:name, got 'own_wraps'"),
+        (lambda envs: envs, "wrapper .* cannot be found"),
+    ],
+)
+def test_wrappers_that_cannot_be_kept_are_refused_before_training(folder, wrapper, message):
+    with pytest.raises(ParameterError, match=message):
+        agents.train("agent", environment=PLANT, hyperparameters=TINY, wrappers=[wrapper])
