@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
@@ -11,10 +12,9 @@ import pytest
 import roadgym
 from agents.cli import main
 from analysis import explorer
-from roadgym import SPEED_NOISES, ParameterError
+from roadgym import ROADS, SPEED_NOISES, ParameterError
 
-ROADS = list(explorer.roads())
-PLANTS = [(road, noise) for road in ROADS for noise in ("none", *SPEED_NOISES)]
+PLANTS = [(road, noise) for road in explorer.roads() for noise in ("none", *SPEED_NOISES)]
 DEFINED = [(road, noise) for road, noise in PLANTS if road == "harmonic" or noise in ("none", "low_pass")]
 
 
@@ -38,6 +38,7 @@ def test_every_part_of_the_page_is_installed():
 
 def test_plants_are_those_that_are_defined():
     found = explorer.plants()
+    assert "two_corner" in found
     assert [(road, noise) for road, noise in PLANTS if noise in found[road]] == DEFINED
     assert found["harmonic"]["high_pass"] == {"simulated": False, "divergent": ("acceleration", "relative_velocity")}
     assert found["gaussian"]["low_pass"]["simulated"]
@@ -48,7 +49,8 @@ def test_plants_are_those_that_are_defined():
     [
         ({"damping": 5.0}, r"damping must be from 0.01 to 2, got 5"),
         ({"damping": float("nan")}, r"damping must be finite"),
-        ({"road": "gravel"}, r"road must be one of harmonic, .*'gravel'"),
+        ({"road": "gravel"}, r"unknown road 'gravel'; known: harmonic, "),
+        ({"road": 3}, r"road must be one of harmonic, .*got 3"),
         ({"speed_noise": "pink"}, r"speed_noise must be one of none, white, .*'pink'"),
         ({"road": "gaussian", "speed_noise": "white"}, r"white speed noise is defined on the harmonic road only"),
         ({"speed": 1.0}, r"name in the view must be one of road, .*'speed'"),
@@ -60,6 +62,29 @@ def test_bad_view_is_refused(view, message, tmp_path):
     with pytest.raises(ParameterError, match=message):
         explorer.write(tmp_path / "page.html", view)
     assert not list(tmp_path.iterdir())
+
+
+def test_road_of_an_installed_package_is_found(tmp_path, monkeypatch):
+    metadata = tmp_path / "pebbles-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: pebbles\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[roadgym.components]\npebbles = pebbles\n")
+    (tmp_path / "pebbles.py").write_text(
+        """import dataclasses, roadgym
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Pebbles(roadgym.TwoCornerRoad):
+    kind: str = dataclasses.field(default="pebbles", init=False)
+roadgym.register("road", "pebbles", Pebbles)
+"""
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    try:
+        assert explorer.make_view({"road": "pebbles"})["road"] == "pebbles"
+        assert explorer.roads()["pebbles"] == explorer.roads()["two_corner"]
+    finally:
+        ROADS.pop("pebbles", None)
+        sys.modules.pop("pebbles", None)
 
 
 def test_unwritable_file_is_refused(tmp_path):

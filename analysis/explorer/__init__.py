@@ -122,7 +122,10 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
     known = ("road", "speed_noise", "weights", *RANGES)
     for name in view:
         one_of("name in the view", name, known)
-    road = make_road(one_of("road", view.get("road", "multiplicative"), roads()))
+    kind = view.get("road", "multiplicative")
+    if isinstance(kind, str) and kind not in ROADS:
+        make_road(kind)  # which an installed package may register
+    road = make_road(one_of("road", kind, roads()))
     noise = make_speed_noise(one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE, *SPEED_NOISES)), road)
     result: dict[str, Any] = {"road": road.kind, "speed_noise": noise.kind if noise else NO_NOISE}
     for name, allowed in RANGES.items():
