@@ -28,62 +28,6 @@ with needs("train"):
     from stable_baselines3.common.vec_env import VecEnv
 
 
-class Info(dict[str, Any]):
-    """The infos of one environment, read from the batch's arrays when one of them is asked for: most steps nobody asks, and
-    to make dictionaries for all took as long as all else. Only C code that does not ask, such as that of json, sees none.
-
-    Args:
-        numbers: arrays over the environments, by name.
-        row: the environment.
-    """
-
-    __slots__ = ("_numbers", "_row")
-
-    def __init__(self, numbers: Mapping[str, npt.NDArray[Any]], row: int) -> None:
-        self._numbers, self._row = numbers, row
-
-    def _filled(self) -> Info:
-        for name in self._numbers:
-            self.setdefault(name, self._numbers[name][self._row].item())
-        self._numbers = {}
-        return self
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """As of a dictionary; the one method that is called in every step, by stable-baselines3."""
-        return dict.get(self._filled() if key in self._numbers else self, key, default)
-
-    def __missing__(self, key: str) -> Any:
-        if key not in self._numbers:
-            raise KeyError(key)
-        return self._filled()[key]
-
-    def __reduce__(self) -> Any:
-        return dict, (dict(self._filled()),)
-
-
-def _filled_first(name: str) -> Any:
-    """The method of a dictionary of this ``name``, of one that is filled."""
-    method = getattr(dict, name)
-    return lambda info, *arguments: method(info._filled(), *arguments)
-
-
-for _name in (
-    "__contains__",
-    "__iter__",
-    "__len__",
-    "__eq__",
-    "__ne__",
-    "__repr__",
-    "__or__",
-    "__ror__",
-    "__ior__",
-    "__reversed__",
-):
-    setattr(Info, _name, _filled_first(_name))
-for _name in ("copy", "items", "keys", "values", "pop", "popitem"):
-    setattr(Info, _name, _filled_first(_name))
-
-
 def _described(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     """The arguments of `QuarterCarVecEnv` that make the same of ``env``."""
     found: dict[str, Any] = {"max_episode_steps": None}
@@ -215,8 +159,9 @@ class QuarterCarVecEnv(VecEnv):
         observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
         self._returns -= info.get("cost", -rewards)
         self._lengths += 1
-        numbers = {name: info[name] for name in info if "_" + name in info and name[:6] != "final_"}
-        infos: list[dict[str, Any]] = [Info(numbers, row) for row in range(self.num_envs)]
+        names = [name for name in info if "_" + name in info and name[:6] != "final_"]
+        rows = zip(*(info[name].tolist() for name in names), strict=True)
+        infos: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in rows]
         done = terminated | truncated
         if done.any():
             elapsed = round(time.monotonic() - self._begin, 6)
