@@ -162,7 +162,7 @@ def declaration(road: Road) -> dict[str, Any] | None:
     if type(road) in OWN_FORMULAS:
         return {}
     if road.lines is not None:
-        return {"lines": road.lines}
+        return {"lines": np.array(road.lines, float).tolist()}
     road_filter = road.shaping_filter()
     if road_filter is None or not road_filter.noise.any():
         return None
