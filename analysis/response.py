@@ -11,8 +11,9 @@ the car's transfer function has the numerator 1 + 2 D s:
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,41 +32,58 @@ RELATIVE_ERROR = 3e-3  # standard error over the mean, of what is simulated
 
 
 class MeanSquares(Mapping[str, FloatArray]):
-    """Stationary mean squares of the car by name, m^2, not divided by the road's variance; each is an attribute too.
+    """Stationary mean squares of the car by name, m^2, not divided by the road's variance; each is an attribute, too.
 
     Of the car of one mass: displacement E Y^2, velocity E (Y'/w1)^2, acceleration E (Y''/w1^2)^2, travel E (Y - Z)^2, and
-    relative_velocity E ((Y' - Z')/w1)^2.
+    relative_velocity E ((Y' - Z')/w1)^2. Results are frozen dataclasses, whose fields are these and the standard error.
 
-    Args:
-        squares: the mean squares, each in the common shape of what was asked.
-        standard_error: their standard errors, m^2, where they come from simulation; None where they are exact.
+    Attributes:
+        names: of the mean squares, each of which has the common shape of what was asked.
+        standard_error: standard errors of all, m^2, where they come from simulation; None where they are exact.
     """
 
-    def __init__(self, squares: Mapping[str, FloatArray], standard_error: MeanSquares | None = None) -> None:
-        self._squares, self.standard_error = dict(squares), standard_error
+    names: ClassVar[tuple[str, ...]] = ()
+    standard_error: MeanSquares | None
+
+    @staticmethod
+    def of(squares: Mapping[str, FloatArray], standard_error: MeanSquares | None = None) -> MeanSquares:
+        """The mean squares by name, and their standard errors."""
+        made: MeanSquares = _fields_of(tuple(squares))(**squares, standard_error=standard_error)
+        return made
 
     def __getitem__(self, name: str) -> FloatArray:
         """The mean square of a signal."""
-        return self._squares[name]
+        if name not in self.names:
+            raise KeyError(name)
+        square: FloatArray = getattr(self, name)
+        return square
 
     def __iter__(self) -> Iterator[str]:
         """The names of the signals."""
-        return iter(self._squares)
+        return iter(self.names)
 
     def __len__(self) -> int:
         """How many they are."""
-        return len(self._squares)
+        return len(self.names)
 
-    def __getattr__(self, name: str) -> FloatArray:
-        """The mean square of a signal, as an attribute."""
-        if name.startswith("_") or name not in self._squares:
-            raise AttributeError(f"no mean square {name!r}")
-        return self._squares[name]
+    def __reduce__(self) -> Any:
+        """The class is made anew where a copy is unpickled."""
+        return MeanSquares.of, (dict(self), self.standard_error)
 
-    def __repr__(self) -> str:
-        """The figures."""
-        figures = ", ".join(f"{name}={value!r}" for name, value in self._squares.items())
-        return f"MeanSquares({figures}, standard_error={self.standard_error!r})"
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> FloatArray:
+            """The mean square of a signal."""
+
+
+@functools.cache
+def _fields_of(names: tuple[str, ...]) -> Any:
+    """The class of results with these mean squares."""
+    fields: list[Any] = [*((name, FloatArray) for name in names), ("standard_error", MeanSquares | None, None)]
+    namespace = {"names": names}
+    return dataclasses.make_dataclass(
+        "MeanSquares", fields, bases=(MeanSquares,), namespace=namespace, frozen=True, kw_only=True, eq=False
+    )
 
 
 def mean_squares(
@@ -134,7 +152,7 @@ def mean_squares(
         found = _closed(road, road_filter, speed_noise, damping, ratio, w1)
     else:
         found = LinearSystem.of(road_filter, the_car.motion, damping=damping, ratio=ratio).mean_squares()
-    return MeanSquares({name: road.variance * square for name, square in found.items()})
+    return MeanSquares.of({name: road.variance * square for name, square in found.items()})
 
 
 def has_closed_form(road: Road, car: Car) -> bool:
@@ -220,8 +238,8 @@ def _simulated(
         result[:, :, *index] = driven_mean_squares(
             here, speed_noise, float(damping[index]), float(speed[index]), car, relative_error
         )
-    means, errors = (MeanSquares(dict(zip(car.mean_squares, part, strict=True))) for part in result)
-    return MeanSquares(means, standard_error=errors)
+    means, errors = (MeanSquares.of(dict(zip(car.mean_squares, part, strict=True))) for part in result)
+    return MeanSquares.of(means, standard_error=errors)
 
 
 def _second_order(damping: FloatArray, ratio: FloatArray, bandwidth: FloatArray) -> MeanSquaresOfFilter:
