@@ -6,8 +6,9 @@ import time
 
 import numpy as np
 import pytest
+from speed_plants import exact_mean_squares, finite_terms
+from speed_scheme import scheme_mean_squares
 from test_car import started_plant
-from test_speed import exact_mean_squares, finite_terms, scheme_mean_squares
 
 import analysis
 import roadgym

@@ -5,7 +5,8 @@
 
 The page evaluates the same formulas as `analysis.response`, `analysis.optimum`, `analysis.roads`,
 `analysis.paper.rotating_frame` and `analysis.paper.stability`, in units of w1 and of the road's standard deviation. Python
-tells it the ranges of its parameters, the plants that are defined and the view to begin with, but no result.
+tells it the ranges of its parameters, the plants that are defined, what roads without formulas of their own declare of
+themselves (`roads`) and the view to begin with, but no result.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from roadgym import MEAN_SQUARES, QuarterCar, __version__
+import numpy as np
+
+from roadgym import MEAN_SQUARES, ROADS, QuarterCar, __version__
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, number, shown
 from roadgym.reward import check_weights, divergent_terms
-from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, make_road
+from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SPEED_NOISES, make_speed_noise
 
 from ..checks import one_of
@@ -33,7 +36,7 @@ TEMPLATE = Path(__file__).with_name("page.html")
 PARTS = ("style.css", "theory.js", "words.js", "plots.js", "page.js")  # each has its name in a comment of the template
 PLACE = "/*DATA*/"  # in the template
 SEARCH = {"coarse": COARSE, "fine": FINE, "rounds": ROUNDS}  # of the best damping
-ROADS = (HarmonicRoad, FirstOrderRoad, GaussianRoad, MultiplicativeRoad)
+OWN_FORMULAS = (FirstOrderRoad, GaussianRoad, MultiplicativeRoad)  # in `theory.js`, with controls for their parameters
 NO_NOISE = "none"
 
 
@@ -89,6 +92,7 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
     data = {
         "version": __version__,
         "mean_squares": MEAN_SQUARES,
+        "roads": roads(),
         "plants": plants(),
         "ranges": {name: dataclasses.asdict(value) for name, value in RANGES.items()},
         "search": SEARCH,
@@ -97,7 +101,7 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
     text = TEMPLATE.read_text(encoding="utf-8")
     for name in PARTS:
         text = text.replace(f"/*{name}*/", TEMPLATE.with_name(name).read_text(encoding="utf-8").rstrip("\n"))
-    text = text.replace(PLACE, json.dumps(data))
+    text = text.replace(PLACE, json.dumps(data).replace("<", "\\u003c"))  # a road's name may be anything
     target = Path(path)
     try:
         with whole_file(target) as part:
@@ -118,7 +122,10 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
     known = ("road", "speed_noise", "weights", *RANGES)
     for name in view:
         one_of("name in the view", name, known)
-    road = make_road(one_of("road", view.get("road", "multiplicative"), [road.kind for road in ROADS]))
+    kind = view.get("road", "multiplicative")
+    if isinstance(kind, str) and kind not in ROADS:
+        make_road(kind)  # which an installed package may register
+    road = make_road(one_of("road", kind, roads()))
     noise = make_speed_noise(one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE, *SPEED_NOISES)), road)
     result: dict[str, Any] = {"road": road.kind, "speed_noise": noise.kind if noise else NO_NOISE}
     for name, allowed in RANGES.items():
@@ -134,19 +141,56 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def roads() -> dict[str, dict[str, Any]]:
+    """By kind, what each registered road that the page can show declares of itself, at its default parameters.
+
+    Its ``lines`` or its ``filter`` (see `roadgym.roads.Road`), and nothing where the page has formulas of its own. A road with
+    neither is left out, and so is one that has no default parameters.
+    """
+    result = {kind: declaration(road()) for kind, road in ROADS.items() if has_defaults(road)}
+    return {kind: declared for kind, declared in result.items() if declared is not None}
+
+
+def has_defaults(road: type[Road]) -> bool:
+    """Can such a road be made without parameters?"""
+    fields = [field for field in dataclasses.fields(road) if field.init]
+    return not any(field.default is field.default_factory is dataclasses.MISSING for field in fields)
+
+
+def declaration(road: Road) -> dict[str, Any] | None:
+    """What `roads` has of a road; None where the page cannot show it."""
+    if type(road) in OWN_FORMULAS:
+        return {}
+    if road.lines is not None:
+        return {"lines": np.array(road.lines, float).tolist()}
+    road_filter = road.shaping_filter()
+    if road_filter is None or not road_filter.noise.any():
+        return None
+    matrices = {name: getattr(road_filter, name).tolist() for name in ("drift", "noise", "level", "covariance")}
+    poles = np.linalg.eigvals(road_filter.drift)
+    return {
+        "filter": {
+            **matrices,
+            "gaussian": road_filter.flatness == 0,
+            "rough": bool(np.any(road_filter.level @ road_filter.noise)),
+            "poles": [(-pole.real, pole.imag) for pole in poles.tolist() if pole.imag >= 0],  # where lines need more points
+        }
+    }
+
+
 def plants() -> dict[str, dict[str, dict[str, Any]]]:
     """By road and speed noise, where it is defined there: is there only simulation, and which mean squares are infinite?"""
     result: dict[str, dict[str, dict[str, Any]]] = {}
     car = QuarterCar()
-    for kind in ROADS:
-        road = kind()
-        result[road.kind] = {}
+    for kind in roads():
+        road = make_road(kind)
+        result[kind] = {}
         for name in (NO_NOISE, *SPEED_NOISES):
             try:
                 noise = make_speed_noise(name, road)
             except ParameterError:
                 continue
-            result[road.kind][name] = {
+            result[kind][name] = {
                 "simulated": needs_simulation(road, noise, car),
                 "divergent": divergent_terms(car, road, noise),
             }

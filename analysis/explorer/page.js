@@ -72,10 +72,9 @@ function showNumbers(p, result) {
       + `<b class="at">${shown.cost}</b>; the best from ${p.damping_min} to ${p.damping_max}, `
       + `<b class="best"><i>D</i>${named} = ${shown.best_damping}</b>, costs <b class="best">${shown.best_cost}</b>.`
     : plantName(p);
-  const plant = plantOf(p, data.plants);
-  $("notice").textContent = obstacle(p, plant);
-  $("notice").hidden = obstacle(p, plant) === "";
-  $("python").textContent = pythonCode(p, plant);
+  $("notice").textContent = obstacle(p);
+  $("notice").hidden = obstacle(p) === "";
+  $("python").textContent = pythonCode(p);
 }
 /* ---- Controls. ---- */
 
@@ -84,6 +83,12 @@ function input(attributes) {
 }
 
 function makeControls() {
+  for (const value of Object.keys(data.plants)) {
+    const label = document.createElement("label"), name = document.createElement("span");
+    name.textContent = roadName(value);
+    label.append(input({ type: "radio", name: "road", value }), name);
+    $("roads").append(label);
+  }
   for (const control of all(".control")) {
     const { name } = control.dataset, { low, high, steps } = data.ranges[name];
     const number = input({ type: "number", id: name, name, min: low, max: high, step: 0.01 });
@@ -110,7 +115,7 @@ function makeControls() {
     else set(target.name, target.type === "number" ? target.valueAsNumber : target.value);
     render();
   });
-  addEventListener("change", () => showControls(state, null)); // what was typed, as it is taken
+  addEventListener("change", () => showControls(null)); // what was typed, as it is taken
   $("controls").addEventListener("reset", (event) => {
     event.preventDefault();
     state = initial();
@@ -139,48 +144,49 @@ function makeControls() {
   });
 }
 
-/** Which elements with data-when are shown. */
-function conditions(p, plant) {
-  const noise = p.speed_noise !== "none";
-  return {
-    random: p.road !== "harmonic",
-    harmonic: p.road === "harmonic",
-    second_order: ["gaussian", "multiplicative"].includes(p.road),
-    multiplicative: p.road === "multiplicative",
-    bounded: levelBound(p) < Infinity,
-    noise,
-    quiet: !noise,
-    white: p.road === "harmonic" && p.speed_noise === "white",
-    filtered: ["low_pass", "high_pass"].includes(p.speed_noise),
-    known: hasCost(p, plant),
-    spectrum: spectralDensity(p, 1) !== null,
-  };
-}
-
 /** Write the state into all controls but the number being typed. */
-function showControls(p, typed = document.activeElement) {
+function showControls(typed = document.activeElement) {
   for (const element of all("input")) {
     if (element.type === "radio") {
-      element.checked = element.value === p[element.name];
-      if (element.name === "speed_noise") element.disabled = !has(data.plants[p.road], element.value);
+      element.checked = element.value === state[element.name];
+      if (element.name === "speed_noise") element.disabled = !has(data.plants[state.road], element.value);
     } else {
-      const value = has(p.weights, element.name) ? p.weights[element.name] : p[element.name];
+      const value = has(state.weights, element.name) ? state.weights[element.name] : state[element.name];
       if (element.type === "range") {
         element.value = Math.round(part(data.ranges[element.name], value) * element.max);
         element.setAttribute("aria-valuetext", value);
       } else if (element !== typed) element.value = value;
     }
   }
-  const plant = plantOf(p, data.plants), shown = conditions(p, plant);
+}
+
+/** Show the elements with data-when that concern the plant. */
+function showElements(p, result) {
+  const noise = p.speed_noise !== "none", law = result.level_bound !== null;
+  const shown = {
+    random: p.road !== "harmonic",
+    harmonic: p.road === "harmonic",
+    second_order: ["gaussian", "multiplicative"].includes(p.road),
+    multiplicative: p.road === "multiplicative",
+    law,
+    bounded: law && result.level_bound < Infinity,
+    noise,
+    quiet: !noise,
+    white: p.road === "harmonic" && p.speed_noise === "white",
+    filtered: ["low_pass", "high_pass"].includes(p.speed_noise),
+    known: result.optimum !== null,
+    spectrum: result.spectral_density(1) !== null,
+  };
   for (const element of all("[data-when]")) element.hidden = !shown[element.dataset.when];
-  $("code").classList.toggle("wide", !plant.simulated); // beside the density, if that is the only plot
+  $("code").classList.toggle("wide", !(p.simulated && law)); // beside the density, if that is the only plot
 }
 
 function render() {
-  const result = evaluate(state, data);
-  showControls(state);
-  showNumbers(state, result);
-  showPlots(state, result);
+  const p = completed(state, data), result = evaluate(state, data);
+  showControls();
+  showElements(p, result);
+  showNumbers(p, result);
+  showPlots(p, result);
   writeAddress();
 }
 

@@ -108,9 +108,17 @@ const SPEED = { ...data.ranges.frequency_ratio, name: `frequency ratio ${italic(
 const DAMPING = data.ranges.damping;
 const DRAWN = { coarse: 33, fine: 9, rounds: 2 }; // of the best damping, as far as a line shows it
 
+/** [rate, wavenumber] at which what makes the road decays and turns, over the angle: there its spectrum may have peaks. */
+function tones(p) {
+  if (p.lines) return p.lines.map(([, k]) => [0, k]);
+  if (p.filter) return p.filter.poles;
+  return [p.road === "first_order" ? [1, 0] : [p.bandwidth, 1]];
+}
+
 function showPlots(p, result) {
   const sharp = data.ranges.damping.low;
-  const speeds = mesh(SPEED.low, SPEED.high, [[1, sharp]]);
+  const resonances = tones(p).map(([, k]) => 1 / k).filter((value) => value <= SPEED.high);
+  const speeds = mesh(SPEED.low, SPEED.high, resonances.map((value) => [value, sharp]));
   const ratio = p.frequency_ratio, best = result.optimum;
   const outside = [[DAMPING.low, p.damping_min], [p.damping_max, DAMPING.high]];
   if (best) {
@@ -157,8 +165,8 @@ function showPlots(p, result) {
   }
 
   if (result.spectral_density(1) !== null) {
-    const peaks = [[1, sharp], ...(p.road === "first_order" ? [] : [[ratio, p.bandwidth * ratio / 2]])];
-    const road = mesh(0, 5, peaks).map((value) => [value, result.spectral_density(value)]);
+    const peaks = tones(p).map(([rate, k]) => [ratio * k, ratio * rate / 2]);
+    const road = mesh(0, 5, [[1, sharp], ...peaks]).map((value) => [value, result.spectral_density(value)]);
     const gain = (value) => Math.hypot(...meanAmplitude(p, p.damping, value)) ** 2; // |H|^2, without noise
     const lines = [
       { kind: "thin", points: road },
@@ -171,6 +179,7 @@ function showPlots(p, result) {
     });
   }
 
+  if (result.level_bound === null) return;
   const bound = result.level_bound;
   const end = Math.max(3.6, bound < Infinity ? 1.08 * bound : 0);
   const shares = Array.from({ length: 241 }, (_, i) => i / 120 - 1);
@@ -180,7 +189,7 @@ function showPlots(p, result) {
     law.unshift([-end, 0], [-bound, 0]);
     law.push([bound, 0], [end, 0]);
   }
-  const normal = shares.map((share) => [end * share, marginalDensity({ ...p, road: "gaussian" }, end * share)]);
+  const normal = shares.map((share) => [end * share, marginalDensity(Infinity, end * share)]);
   const lines = [...(bound < Infinity ? [{ kind: "thin", points: normal }] : []), { kind: "at", points: law }];
   const index = `<tspan font-style="italic" font-size="9" dy="3">Z</tspan>`;
   draw("density", {

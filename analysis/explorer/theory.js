@@ -1,15 +1,16 @@
 /* The closed forms and exact series of the page, without a document: a browser and node run the same lines.
 
    All is in units of w1 and of the road's standard deviation. p holds the parameters by name, as `RANGES` of the Python module
-   does, with `road`, `speed_noise` and `weights`; ratio is nu = v Omega/w1. Complex numbers are [real, imaginary]. Equation
-   numbers are those of Wedig (2020). The same formulas are in response.py, phase_noise.py, rotating_frame.py, roads.py,
-   stability.py and optimum.py of `analysis`; what Python answers by simulation alone is null here. */
+   does, with `road`, `speed_noise` and `weights`, and what `completed` adds; ratio is nu = v Omega/w1. Complex numbers are [real,
+   imaginary]. Equation numbers are those of Wedig (2020). The same formulas are in response.py, phase_noise.py,
+   rotating_frame.py, roads.py, stability.py and optimum.py of `analysis`; what Python answers by simulation alone is null here. */
 
-/** The plant among those that Python defines, by road and speed noise: {simulated, divergent}. */
-function plantOf(p, plants) {
+/** The parameters with what Python says of their plant, {simulated, divergent}, and of their road, {lines} or {filter} or
+    nothing where there are formulas for it below. */
+function completed(p, { plants, roads }) {
   const plant = plants[p.road]?.[p.speed_noise];
   if (!plant) throw new RangeError(`${p.speed_noise} speed noise is not defined on a ${p.road} road`);
-  return plant;
+  return { ...p, ...plant, ...roads[p.road] };
 }
 
 /** Mean squares over E Z^2, from P_m = E(d^m q/dt^m)^2 of q'' + 2 D q' + q = Z; Infinity where they diverge. There are none on
@@ -28,8 +29,21 @@ function meanSquares(p, damping = p.damping, ratio = p.frequency_ratio) {
 
 /** P_0, ..., P_3 of the plant. */
 function filterMeanSquares(p, damping, ratio) {
+  if (p.lines) return sumOfWaves(p, damping, ratio);
+  if (p.filter) return linearFilter(p.filter, damping, ratio);
   if (p.road === "first_order") return [...decaying(damping, 0, ratio), ratio > 0 ? Infinity : 0]; // (6)
-  if (p.road !== "harmonic") return secondOrder(damping, ratio, p.bandwidth);
+  return secondOrder(damping, ratio, p.bandwidth);
+}
+
+/** P_0, ..., P_3 on a sum of waves: those on each of them, times its share. */
+function sumOfWaves(p, damping, ratio) {
+  const waves = p.lines.map(([share, k]) => (
+    oneWave({ ...p, intensity: k * p.intensity }, damping, k * ratio).map((value) => share * value)));
+  return waves.reduce((sum, wave) => sum.map((value, m) => value + wave[m]));
+}
+
+/** P_0, ..., P_3 on a harmonic road. */
+function oneWave(p, damping, ratio) {
   if (p.speed_noise === "low_pass") return lowPass(p, damping, ratio).meanSquares;
   const sum = [0, 0, 0, Infinity];
   overRates(p, (rate, weight) => decaying(damping, ratio, rate).forEach((value, m) => { sum[m] += weight * value; }));
@@ -61,6 +75,54 @@ function secondOrder(damping, ratio, bandwidth) {
     cube * mixed / denominator,
     cube * (4 * damping * bandwidth * ratio * mixed + damping * ratio ** 3 + bandwidth) / denominator,
   ];
+}
+
+function dot(a, b) {
+  let sum = 0;
+  for (let i = 0; i < b.length; i++) sum += a[i] * b[i];
+  return sum;
+}
+const applied = (matrix, vector) => matrix.map((row) => dot(row, vector));
+const columns = (matrix) => matrix[0].map((_, k) => matrix.map((row) => row[k]));
+
+/** x of (a + b F + c F^2) x = right, by elimination with pivots. */
+function solve(F, [a, b, c], right) {
+  const size = F.length, across = columns(F);
+  const rows = F.map((row, i) => [
+    ...row.map((value, k) => (i === k ? a : 0) + b * value + c * dot(row, across[k])), right[i],
+  ]);
+  for (let k = 0; k < size; k++) {
+    let pivot = k;
+    for (let i = k + 1; i < size; i++) if (Math.abs(rows[i][k]) > Math.abs(rows[pivot][k])) pivot = i;
+    [rows[k], rows[pivot]] = [rows[pivot], rows[k]];
+    for (let i = k + 1; i < size; i++) {
+      const factor = rows[i][k] / rows[k][k];
+      for (let j = k; j <= size; j++) rows[i][j] -= factor * rows[k][j];
+    }
+  }
+  const x = Array(size).fill(0);
+  for (let k = size - 1; k >= 0; k--) x[k] = (rows[k][size] - dot(rows[k], x)) / rows[k][k];
+  return x;
+}
+
+/** P_0, ..., P_3 on a linear filter, dr = nu F r dt + sqrt(nu) G dB, Z = c r, E r r' = P.
+
+    Where f r + white noise of intensity g drives q, stationarity of q r', q' r', q q' and q'^2 gives m = E q r, E q' r = -nu F m,
+    E q'^2 = (g/2 - f nu F m)/(2 D) and E q^2 = E q'^2 + f m. Of Z itself, (1 - 2 D nu F + nu^2 F^2) m = P c' and g = 0; of its
+    k-th derivative, m is that times (-nu F)^k, f is c (nu F)^k, and g is the square of sqrt(nu) c (nu F)^(k - 1) G. */
+function linearFilter({ drift, noise, level, covariance, rough }, damping, ratio) {
+  let m = solve(drift, [1, -2 * damping * ratio, ratio ** 2], applied(covariance, level));
+  const p = [dot(level, m)], across = columns(drift);
+  let f = level, g = 0;
+  for (let k = 1; k <= 3; k++) {
+    m = applied(drift, m).map((value) => -ratio * value); // E q' r, where the (k - 1)-th derivative drives q
+    p[k] = (dot(f, m) + g / 2) / (2 * damping);
+    g = ratio * columns(noise).reduce((sum, column) => sum + dot(f, column) ** 2, 0);
+    f = across.map((column) => ratio * dot(f, column));
+  }
+  p[0] += p[1];
+  if (rough) p[3] = ratio > 0 ? Infinity : 0;
+  return p;
 }
 
 /** Calls add(rate, weight) for each rate at which the correlation of exp(i phi) decays without noise, with white (18) and with
@@ -170,9 +232,9 @@ function costAt(p, damping, ratio) {
 }
 
 /** Is there a finite cost to minimise on the plant? */
-function hasCost(p, { simulated, divergent }) {
+function hasCost(p) {
   const weighted = Object.keys(p.weights).filter((name) => p.weights[name] > 0);
-  return !simulated && weighted.length > 0 && !weighted.some((name) => divergent.includes(name));
+  return !p.simulated && weighted.length > 0 && !weighted.some((name) => p.divergent.includes(name));
 }
 
 /** {damping, cost} of the best constant damping within the bounds, as analysis/optimum.py finds it: a grid even in log D, then
@@ -197,19 +259,22 @@ function optimum(p, { coarse, fine, rounds }, ratio = p.frequency_ratio) {
   return { damping, cost };
 }
 
-/** Bound of the level in standard deviations; Infinity where there is none. */
-function levelBound(p) {
-  return { harmonic: Math.SQRT2, multiplicative: Math.sqrt(2 * (p.shape + 1)) }[p.road] ?? Infinity; // (12)
+/** Shape alpha of the law of the level, (11): 0 of the arcsine law, Infinity of the Gaussian one, null where it is not known. */
+function shapeOf(p) {
+  if (p.lines) return p.lines.length === 1 ? 0 : null;
+  if (p.filter) return p.filter.gaussian ? Infinity : null;
+  return p.road === "multiplicative" ? p.shape : Infinity;
 }
 
-/** Stationary density of the level, times the standard deviation; level in standard deviations. */
-function marginalDensity(p, level) {
-  const bound = levelBound(p);
-  if (bound === Infinity) return Math.exp(-level * level / 2) / Math.sqrt(2 * Math.PI);
-  const exponent = p.road === "harmonic" ? -0.5 : p.shape - 0.5; // the arcsine law, or (11) integrated over the slope
-  const peak = p.road === "harmonic" ? 1 / (Math.PI * bound) : halfStep(p.shape) / (Math.sqrt(Math.PI) * bound);
-  const radius = Math.abs(level) / bound;
-  return radius <= 1 ? peak * ((1 - radius) * (1 + radius)) ** exponent : 0;
+/** Bound of the level in standard deviations, (12); Infinity where there is none. */
+const levelBound = (shape) => Math.sqrt(2 * (shape + 1));
+
+/** Stationary density of the level, times the standard deviation; level in standard deviations. (11) integrated over the slope. */
+function marginalDensity(shape, level) {
+  if (shape === Infinity) return Math.exp(-level * level / 2) / Math.sqrt(2 * Math.PI);
+  const bound = levelBound(shape), radius = Math.abs(level) / bound;
+  const peak = halfStep(shape) / (Math.sqrt(Math.PI) * bound);
+  return radius <= 1 ? peak * ((1 - radius) * (1 + radius)) ** (shape - 0.5) : 0;
 }
 
 /** Gamma(x + 1)/Gamma(x + 1/2), x >= 0: the series of F. G. Tricomi and A. Erdelyi (Pacific J. Math. 1, 1951) beyond x = 16. */
@@ -219,28 +284,37 @@ function halfStep(x) {
   return Math.sqrt(w) * Math.exp(t * (1 / 64 + t * (-5 / 2048 + t * (61 / 49152 - t * 1385 / 1048576))));
 }
 
-/** Spectral density of the level in time, times w1/E Z^2: (5), and its second-order companion; null on the harmonic road, under
-    speed noise and at rest. */
+/** Spectral density of the level in time, times w1/E Z^2: (5), and its companions; null where it is a set of lines, under speed
+    noise and at rest. */
 function spectralDensity(p, frequency) {
-  if (p.road === "harmonic" || p.speed_noise !== "none" || p.frequency_ratio === 0) return null;
+  if (p.lines || p.speed_noise !== "none" || p.frequency_ratio === 0) return null;
   const x = frequency / p.frequency_ratio;
+  if (p.filter) return filterSpectrum(p.filter, x) / p.frequency_ratio;
   if (p.road === "first_order") return 2 / (p.frequency_ratio * (1 + x * x));
   return 4 * p.bandwidth / (p.frequency_ratio * (((1 - x) * (1 + x)) ** 2 + (2 * p.bandwidth * x) ** 2));
 }
 
-/** Every number of the page at one set of parameters; what has no closed form, or is not defined, is null. `plants` are those
-    that Python defines, `search` are its grids of the optimum. */
-function evaluate(p, { plants, search }) {
-  const plant = plantOf(p, plants);
+/** |c (i k - F)^-1 G|^2, where the inverse is -(i k + F) (k^2 + F^2)^-1. */
+function filterSpectrum({ drift, noise, level }, k) {
+  return columns(noise).reduce((sum, column) => {
+    const y = solve(drift, [k ** 2, 0, 1], column);
+    return sum + (k * dot(level, y)) ** 2 + dot(level, applied(drift, y)) ** 2;
+  }, 0);
+}
+
+/** Every number of the page at one set of parameters; what has no closed form, or is not defined, is null. Of Python, `known`
+    has the plants that are defined, what roads declare of themselves, and the grids that search for the optimum. */
+function evaluate(parameters, known) {
+  const p = completed(parameters, known), shape = shapeOf(p);
   const harmonic = p.road === "harmonic";
   return {
-    mean_squares: plant.simulated ? null : meanSquares(p),
-    cost: plant.simulated ? null : costAt(p, p.damping, p.frequency_ratio),
-    optimum: hasCost(p, plant) ? optimum(p, search) : null,
+    mean_squares: p.simulated ? null : meanSquares(p),
+    cost: p.simulated ? null : costAt(p, p.damping, p.frequency_ratio),
+    optimum: hasCost(p) ? optimum(p, known.search) : null,
     mean_amplitude: harmonic ? Math.hypot(...meanAmplitude(p)) : null,
     stability: harmonic ? stability(p) : null,
-    level_bound: levelBound(p),
-    marginal_density: (level) => marginalDensity(p, level),
+    level_bound: shape === null ? null : levelBound(shape),
+    marginal_density: (level) => (shape === null ? null : marginalDensity(shape, level)),
     spectral_density: (frequency) => spectralDensity(p, frequency),
   };
 }

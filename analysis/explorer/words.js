@@ -14,14 +14,25 @@ function text(value) {
 }
 
 /** Why there is no cost on the plant; empty where there is one. */
-function obstacle(p, plant) {
-  if (plant.simulated) {
+function obstacle(p) {
+  if (p.simulated) {
     return "With noise on the speed of a random road no closed form is known, so no number is shown. Python simulates this "
       + "plant, with standard errors: run the lines below.";
   }
-  const infinite = plant.divergent.filter((name) => p.weights[name] > 0).map((name) => name.replace("_", " "));
+  const infinite = p.divergent.filter((name) => p.weights[name] > 0).map((name) => name.replace("_", " "));
   if (infinite.length > 0) return `Infinite on this plant: ${infinite.join(" and ")}. Its weight must be 0 for a best damping.`;
-  return hasCost(p, plant) ? "" : "The cost needs at least one positive weight.";
+  return hasCost(p) ? "" : "The cost needs at least one positive weight.";
+}
+
+/** A road in words, to stand before "road". */
+function roadName(kind) {
+  return kind === "gaussian" ? "Gaussian" : kind.replaceAll("_", " ");
+}
+
+/** The same at the beginning of a sentence, in HTML. */
+function roadTitle(kind) {
+  const name = roadName(kind);
+  return (name[0].toUpperCase() + name.slice(1)).replaceAll("&", "&amp;").replaceAll("<", "&lt;");
 }
 
 /** The plant and its parameters. */
@@ -34,7 +45,8 @@ function plantName(p) {
     first_order: "First-order road",
     gaussian: `Gaussian road of <i>δ</i> = ${p.bandwidth}`,
     multiplicative: `Multiplicative road of <i>δ</i> = ${p.bandwidth}, <i>α</i> = ${p.shape}`,
-  }[p.road];
+  }[p.road] ?? `${roadTitle(p.road)} road `
+    + (p.lines ? `(sum of ${p.lines.length} waves)` : `(linear filter of order ${p.filter.level.length})`);
   const noise = {
     none: "no speed noise",
     white: `white speed noise of ${intensity}`,
@@ -45,8 +57,8 @@ function plantName(p) {
 }
 
 /** The lines of Python that give the same numbers. */
-function pythonCode(p, plant) {
-  const road = {
+function pythonCode(p) {
+  const given = {
     harmonic: "HarmonicRoad()",
     first_order: "FirstOrderRoad()",
     gaussian: `GaussianRoad(bandwidth=${p.bandwidth})`,
@@ -61,13 +73,13 @@ function pythonCode(p, plant) {
   const weights = Object.entries(p.weights).filter(([, weight]) => weight > 0).map(([name, weight]) => `"${name}": ${weight}`);
   const lines = [
     "import analysis", "import roadgym", "",
-    `road = roadgym.${road}`,
+    `road = roadgym.${given ?? `ROADS.make(${JSON.stringify(p.road)})`}`,
     `speed_noise = ${noise}`,
-    `plant = {"road": road, "speed_noise": speed_noise, "speed": ${p.frequency_ratio}}`,
+    `plant = {"road": road, "speed_noise": speed_noise, "speed": ${p.frequency_ratio}${given ? "" : " / road.wavenumber"}}`,
     `squares = analysis.mean_squares(**plant, damping=${p.damping})`,
     "print(squares.displacement / road.variance)",
   ];
-  if (hasCost(p, plant) || (plant.simulated && weights.length > 0)) {
+  if (hasCost(p) || (p.simulated && weights.length > 0)) {
     lines.push(
       "best = analysis.optimal_damping(", "    **plant,", `    weights={${weights.join(", ")}},`,
       `    bounds=(${p.damping_min}, ${p.damping_max}),`, ")", "print(best.damping, best.cost)",
