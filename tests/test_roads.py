@@ -10,7 +10,7 @@ from scipy import stats
 from roadgym import ROADS, GaussianRoad, HarmonicRoad, MultiplicativeRoad, ParameterError
 from roadgym.plant import Plant
 from roadgym.roads import make_road
-from roadgym.roads.multiplicative import CELLS, direction_quantiles
+from roadgym.roads.kicks import CELLS, direction_quantiles
 from roadgym.task import make_task
 
 LANES = 1_000_000

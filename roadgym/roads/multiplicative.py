@@ -48,6 +48,7 @@ from ..parameters import ParameterError, check_ratio, within
 from . import iso8608
 from .base import Road, check_fields
 from .gaussian import oscillator, second_order_filter
+from .kicks import CELLS, LARGEST_ROOT, direction_quantiles, projection_curve
 
 # the cosine g of a kick and its sine, for each of its two values; a small shape has the first pair alone: mean of g, and eta
 FAR_KEEP, FAR_KICK = COEFFICIENT, COEFFICIENT + LANES
@@ -59,10 +60,8 @@ CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 8 * LANES, COEFFICIENT + 9 * LANES  # of 
 # the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, how many kicks in CHANCES are far,
 # then the knots of a curve and the distances between them
 SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, FAR, CURVE = 0, 1, 2, 3, 4, 5
-CELLS = 512
 CHANCES = 32
 LARGE_NONCENTRALITY = 1e4  # above it chi'^2 is taken for the square of a shifted normal, whose error is below 1 over it
-LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
 
 
 @compiled
@@ -259,44 +258,6 @@ def advance_small_shape(lanes: Any, words: Any, table: Any) -> None:
 
 
 @functools.cache
-def direction_quantiles(shape: float) -> npt.NDArray[np.float64]:
-    """CELLS + 1 quantiles of |c|, density ~ (1 - c^2)^(shape - 3/2), scaled so that E c^2 of the chords is 1/(2 shape)."""
-    if shape == 0.5:
-        return np.ones(CELLS + 1)
-    from scipy.special import betaincinv
-
-    quantiles = np.sqrt(betaincinv(0.5, shape - 0.5, np.linspace(0.0, 1.0, CELLS + 1)))
-    low = quantiles[:-1]
-    # the last cell holds the whole tail: end it where its share of E c^2 is right, not at c = 1
-    others = np.mean((low[:-1] ** 2 + low[:-1] * low[1:] + low[1:] ** 2) / 3) * (CELLS - 1) / CELLS
-    share = 3 * CELLS * (0.5 / shape - others)
-    last = low[-1]
-    quantiles[-1] = min((math.sqrt(4 * share - 3 * last * last) - last) / 2 if share > 3 * last * last else last, 1.0)
-    chords = np.mean((quantiles[:-1] ** 2 + quantiles[:-1] * quantiles[1:] + quantiles[1:] ** 2) / 3)
-    scaled: npt.NDArray[np.float64] = np.minimum(quantiles * math.sqrt(0.5 / shape / chords), 1.0)
-    return scaled
-
-
-@functools.cache
-def projection_curve(shape: float) -> npt.NDArray[np.float64]:
-    """CELLS + 1 values of eta at equidistant sqrt(-ln g) in [0, LARGEST_ROOT].
-
-    g(eta) is the mean cosine between a unit vector and its projected Gaussian neighbour in n = 2 shape + 1 dimensions:
-    Gamma((n + 1)/2) / Gamma(n/2 + 1) * k / sqrt(2) * 1F1(1/2; n/2 + 1; -k^2/2), k = 1/eta
-    (K. V. Mardia and P. E. Jupp, Directional Statistics, 2000, sec. 9.3.2).
-    """
-    from scipy.special import gammaln, hyp1f1
-
-    n = 2 * shape + 1
-    eta = np.concatenate([[0.0], np.geomspace(1e-4, 30.0, 6000)])
-    k = 1 / eta[1:]
-    g = np.exp(gammaln((n + 1) / 2) - gammaln(n / 2 + 1)) * k / math.sqrt(2) * hyp1f1(0.5, n / 2 + 1, -(k**2) / 2)
-    root = np.concatenate([[0.0], np.sqrt(-np.log(g))])
-    curve: npt.NDArray[np.float64] = np.interp(np.linspace(0.0, LARGEST_ROOT, CELLS + 1), root, eta)
-    return curve
-
-
-@functools.cache
 def ellipse_variance(ratio: float, shape: float, bandwidth: float, error: float = 0.002) -> tuple[float, float]:
     """(E Z^2 / z0^2, its standard error) on an ellipse with u0/z0 = ``ratio``, by simulation to the relative ``error``.
 
@@ -308,9 +269,7 @@ def ellipse_variance(ratio: float, shape: float, bandwidth: float, error: float 
 
     lanes, interval, substeps = 16384, 1.0, 20
     plant = Plant(make_task(road=_UnitEllipse(ratio, shape, bandwidth), control_interval=interval, substeps=substeps), lanes)
-    everyone = np.ones(lanes, np.bool_)
-    plant.seed(np.arange(lanes, dtype=np.uint64), everyone)
-    plant.reset(plant.forced({}), everyone)
+    plant.start(np.arange(lanes, dtype=np.uint64))
     actions = np.full(lanes, 0.5, np.float32)
     for _ in range(math.ceil(5 / bandwidth)):  # exp(-2 delta angle) below 1e-4
         plant.step(actions)
@@ -318,7 +277,7 @@ def ellipse_variance(ratio: float, shape: float, bandwidth: float, error: float 
     while True:
         for _ in range(math.ceil(1 / bandwidth)):
             plant.step(actions)
-            total += plant.row(LEVEL).astype(float) ** 2
+            total += plant.row("level").astype(float) ** 2
             steps += 1
         mean = total.mean() / steps
         spread = total.std(ddof=1) / steps / math.sqrt(lanes)

@@ -1,0 +1,50 @@
+"""Tables of the laws by which the bounded road is kicked; `roadgym.roads.multiplicative` says what for."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+CELLS = 512
+LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
+
+
+@functools.cache
+def direction_quantiles(shape: float) -> npt.NDArray[np.float64]:
+    """CELLS + 1 quantiles of |c|, density ~ (1 - c^2)^(shape - 3/2), scaled so that E c^2 of the chords is 1/(2 shape)."""
+    if shape == 0.5:
+        return np.ones(CELLS + 1)
+    from scipy.special import betaincinv
+
+    quantiles = np.sqrt(betaincinv(0.5, shape - 0.5, np.linspace(0.0, 1.0, CELLS + 1)))
+    low = quantiles[:-1]
+    # the last cell holds the whole tail: end it where its share of E c^2 is right, not at c = 1
+    others = np.mean((low[:-1] ** 2 + low[:-1] * low[1:] + low[1:] ** 2) / 3) * (CELLS - 1) / CELLS
+    share = 3 * CELLS * (0.5 / shape - others)
+    last = low[-1]
+    quantiles[-1] = min((math.sqrt(4 * share - 3 * last * last) - last) / 2 if share > 3 * last * last else last, 1.0)
+    chords = np.mean((quantiles[:-1] ** 2 + quantiles[:-1] * quantiles[1:] + quantiles[1:] ** 2) / 3)
+    scaled: npt.NDArray[np.float64] = np.minimum(quantiles * math.sqrt(0.5 / shape / chords), 1.0)
+    return scaled
+
+
+@functools.cache
+def projection_curve(shape: float) -> npt.NDArray[np.float64]:
+    """CELLS + 1 values of eta at equidistant sqrt(-ln g) in [0, LARGEST_ROOT].
+
+    g(eta) is the mean cosine between a unit vector and its projected Gaussian neighbour in n = 2 shape + 1 dimensions:
+    Gamma((n + 1)/2) / Gamma(n/2 + 1) * k / sqrt(2) * 1F1(1/2; n/2 + 1; -k^2/2), k = 1/eta
+    (K. V. Mardia and P. E. Jupp, Directional Statistics, 2000, sec. 9.3.2).
+    """
+    from scipy.special import gammaln, hyp1f1
+
+    n = 2 * shape + 1
+    eta = np.concatenate([[0.0], np.geomspace(1e-4, 30.0, 6000)])
+    k = 1 / eta[1:]
+    g = np.exp(gammaln((n + 1) / 2) - gammaln(n / 2 + 1)) * k / math.sqrt(2) * hyp1f1(0.5, n / 2 + 1, -(k**2) / 2)
+    root = np.concatenate([[0.0], np.sqrt(-np.log(g))])
+    curve: npt.NDArray[np.float64] = np.interp(np.linspace(0.0, LARGEST_ROOT, CELLS + 1), root, eta)
+    return curve
