@@ -209,7 +209,7 @@ def evaluate(
     w1 = task.car.natural_frequency
     lasts = 300 / w1 if duration is None else positive("duration", duration)
     # waves remember their start as long as the car does
-    forgotten = (5 if task.road.lines is None else 10) / (task.car.decay(task.damping_range[0]) * w1)
+    forgotten = (5 if task.road.lines is None else 10) / (min(map(task.car.decay, task.damping_range)) * w1)
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:

@@ -15,7 +15,8 @@ import analysis
 from analysis.response import needs_simulation
 from roadgym.files import whole_file
 from roadgym.installation import needs
-from roadgym.task import OPERATING_POINT, make_task
+from roadgym.reward import divergent_terms
+from roadgym.task import OPERATING_POINT, Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 from .controllers import OptimalFeedback
@@ -73,7 +74,7 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
         if not seen and not needs_simulation(comparison.task.road, comparison.task.speed_noise, comparison.task.car):
             path = folder / f"schedule{suffix}.png"
             pictures.append(Picture(path, draw_schedule(name, agents, comparison, path)))
-        elif seen and "slope" in comparison.task.signals:
+        elif seen and shows_policy(comparison.task):
             path = draw_policy(agent, comparison, folder / f"policy{suffix}.png")
             caption = f"The damping that {name} chooses over the states that it meets, at three speeds."
             pictures.append(Picture(path, caption))
@@ -81,6 +82,16 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
         path = folder / "pareto.png"
         pictures.append(Picture(path, draw_pareto(comparison, path, report)))
     return pictures
+
+
+# signals across and up in the two rows of `draw_policy`
+AXES = (("velocity", "relative_velocity"), ("displacement", "travel"))
+
+
+def shows_policy(task: Task) -> bool:
+    """Has the car all signals of `draw_policy`, and are they numbers on this plant?"""
+    rough = divergent_terms(task.car, task.road, task.speed_noise)
+    return all(name in task.car.mean_squares and name not in rough for name in itertools.chain(*AXES))
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -164,8 +175,9 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
     axes = figure.subplots(2, len(shown), squeeze=False)
     low, high = task.damping_range
     mesh: Any = None
+    known = task.car.motion.signals
     number, steps_shown, skipped = 512, 150, 100
-    observed = dict.fromkeys((*task.signals, *observed_by(agent, task)))
+    observed = dict.fromkeys((*task.signals, *observed_by(agent, task), *itertools.chain(*AXES)))
     environment = {**comparison.configuration["environment"], "observation": list(observed)}
     position = {name: i for i, name in enumerate(observed)}
     for column, speed in enumerate(shown):
@@ -179,10 +191,8 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
         states = np.concatenate(seen)
         values = np.concatenate(chosen)
         signal = {name: states[:, i] for name, i in position.items()}
-        relative = signal["velocity"] - task.frequency_ratio(speed) * signal["slope"]
-        pairs = [(signal["velocity"], relative), (signal["displacement"], signal["displacement"] - signal["level"])]
-        for row, (x, y) in enumerate(pairs):
-            axis = axes[row, column]
+        for row, (across, up) in enumerate(AXES):
+            axis, x, y = axes[row, column], signal[across], signal[up]
             width, height = (np.quantile(np.abs(v), 0.995) for v in (x, y))
             mesh = axis.hexbin(
                 x,
@@ -202,10 +212,10 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
         axes[0, column].set_title(
             f"$\\nu = {task.frequency_ratio(speed):g}$" + (f", $\\delta = {bandwidth:g}$" if bandwidth else "")
         )
-        axes[0, column].set_xlabel("body velocity $\\dot Y/(\\omega_1 \\sigma_Z)$")
-        axes[1, column].set_xlabel("displacement $Y/\\sigma_Z$")
-    axes[0, 0].set_ylabel("relative velocity $(\\dot Y - \\dot Z)/(\\omega_1 \\sigma_Z)$")
-    axes[1, 0].set_ylabel("travel $(Y - Z)/\\sigma_Z$")
+        axes[0, column].set_xlabel(f"body velocity {known['velocity'].symbol}/(ω₁σ)")
+        axes[1, column].set_xlabel(f"displacement {known['displacement'].symbol}/σ")
+    axes[0, 0].set_ylabel(f"relative velocity {known['relative_velocity'].symbol}/(ω₁σ)")
+    axes[1, 0].set_ylabel(f"travel {known['travel'].symbol}/σ")
     figure.colorbar(mesh, ax=axes, label="mean damping ratio $D$ that the agent chooses", shrink=0.8)
     save_figure(figure, path)
     return path

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from roadgym.cars import Car, make_car
+from roadgym.cars import Car, QuarterCar, make_car
 from roadgym.parameters import ParameterError, PlantError, whole, within
 from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
@@ -179,7 +179,7 @@ def certify(
     significance = FALSE_ALARM_RATE / max(1, sum(line.p_value is not None for line in lines))
     noise = "no speed noise" if speed_noise is None else f"{_words(speed_noise)} speed noise"
     return Certificate(
-        plant=f"{_words(road)} road, {noise}",
+        plant=f"{_words(road)} road, {noise}" + ("" if car is None else f", {_words(the_car)} car"),
         drive=f"speed {speed:g} m/s, damping {damping:g}, natural frequency {the_car.natural_frequency:g} rad/s; "
         f"{lanes} lanes, seed {seed}",
         significance=significance,
@@ -242,6 +242,8 @@ def _compared(
     lines += _law_lines(road, own, slow, fast, left_out)
     try:
         if needs_simulation(road, speed_noise, car):
+            if speed_noise is not None and not needs_simulation(road, speed_noise, QuarterCar()):
+                raise ParameterError(f"with {speed_noise.kind} noise there is a closed form for one mass alone")
             raise ParameterError(no_closed_form(road, speed_noise))
         theory = mean_squares(road, speed_noise, damping=damping, speed=speed, car=car)
         for (term, square), found in zip(theory.items(), own.mean_squares, strict=True):
@@ -393,7 +395,7 @@ def _largest_difference(name: str, test: Any, lanes: float) -> Line:
     )
 
 
-def _words(component: Road | SpeedNoise) -> str:
+def _words(component: Road | SpeedNoise | Car) -> str:
     """Kind and parameters."""
     parameters = [
         f"{name} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"

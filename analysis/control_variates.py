@@ -29,10 +29,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from roadgym.cars import Car
+from roadgym.parameters import RANGES
 from roadgym.task import Task
 
 from .checks import FloatArray
-from .response import mean_squares, needs_simulation
+from .response import has_closed_form, mean_squares, needs_simulation
 
 MOST = 4  # control variates at once; more take out nothing more
 SAMPLES_EACH = 8  # episodes for each: the error of the coefficients then adds a fifth at most to the variance left
@@ -56,6 +57,9 @@ def control_dampings(task: Task, transient: float, samples: int) -> tuple[float,
     low, high = task.damping_range
     high = min(high, HIGHEST)
     simulated = needs_simulation(task.road, task.speed_noise, task.car) or task.road.variance_standard_error > 0
+    if not has_closed_form(task.road, task.car):
+        known = RANGES["linear frequency ratio"]
+        simulated = simulated or not all(known.low <= task.frequency_ratio(speed) <= known.high for speed in task.speed)
     if simulated or transient <= 0 or low >= high:
         return ()
     low = _least_damping(task.car, SETTLED / (transient * task.car.natural_frequency), low, high)
@@ -68,6 +72,8 @@ def control_dampings(task: Task, transient: float, samples: int) -> tuple[float,
 
 def _least_damping(car: Car, decay: float, low: float, high: float) -> float:
     """The least D within [low, high] from which on the car's free motion decays so fast, in units of w1; ``high`` if none."""
+    if car.decay(high) < decay:
+        return high
     if car.decay(low) >= decay:
         return low
     for _ in range(60):

@@ -79,7 +79,7 @@ def drive_together(
     plant.start(np.tile(lane_seeds(np.random.SeedSequence(seed), lanes), damping.size))
     actions = np.repeat(damping.astype(np.float32), lanes)
 
-    memory = 1 / (car.decay(low) * car.natural_frequency)
+    memory = 1 / (min(map(car.decay, damping.tolist())) * car.natural_frequency)
     # on an ellipse the law is not known: there the road must settle as well, and its variance is no control
     settled_road = road.variance_standard_error == 0
     if not settled_road:

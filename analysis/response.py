@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roadgym.cars import MEAN_SQUARES, Car, make_car
+from roadgym.cars.one_mass import MOTION
 from roadgym.linear import LinearSystem, ShapingFilter
 from roadgym.parameters import ParameterError, within
 from roadgym.roads import Road, make_road
@@ -99,9 +100,10 @@ def mean_squares(
 ) -> MeanSquares:
     """Stationary mean squares at constant damping; (3), (6), (16), (17) of Wedig (2020) and their companions.
 
-    Exact on every road that is a linear filter or bounded, and under speed noise on the harmonic road: to rounding without
-    low-pass noise, and with it to 1e-10 of each mean square for D <= 5, however slow, fast or weak it is; to 1e-8 on a filter
-    without closed form, such as that of the two-corner road. Of a multiplicative road only variance and bandwidth enter.
+    Exact on every road that is a linear filter or bounded, and with one mass under speed noise on the harmonic road: to
+    rounding without low-pass noise, and with it to 1e-10 of each mean square for D <= 5, however slow, fast or weak it is; to
+    1e-8 on a filter without closed form, such as that of the two-corner road, and of other cars. Of a multiplicative road only
+    variance and bandwidth enter.
 
     Low-pass noise on a random road has no closed form, nor has a road of one's own that declares neither lines nor a filter:
     there the plant itself is driven, seconds for each operating point, and the result has a standard error. The noise has a
@@ -111,7 +113,7 @@ def mean_squares(
         road: a road, or its name or mapping.
         speed_noise: noise on the speed, or its name or mapping, or None.
         damping: D > 0, 1, any shape.
-        speed: mean speed v >= 0, m/s, any shape that broadcasts.
+        speed: mean speed v >= 0, m/s, any shape that broadcasts; above zero where there is no closed form.
         natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
         car: a car, or its name or mapping; the car of one mass by default.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts; second-order roads.
@@ -157,7 +159,8 @@ def mean_squares(
 
 def has_closed_form(road: Road, car: Car) -> bool:
     """Are their mean squares known in closed form, which is exact in a wider range than Lyapunov's equation?"""
-    if not (car.motion.is_one_mass and car.mean_squares == MEAN_SQUARES):
+    motion = car.motion
+    if not (motion.is_one_mass and car.mean_squares == MEAN_SQUARES and np.array_equal(motion.rows, MOTION.rows)):
         return False
     road_filter = road.shaping_filter()
     known = road_filter is not None and (road_filter.is_first_order or road_filter.bandwidth is not None)

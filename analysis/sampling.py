@@ -158,7 +158,7 @@ class Switching:
 
     def _drive(self, firm: Callable[[int], Any], report: Callable[[int, int], None] | None) -> FloatArray:
         """Mean squares of each lane, m^2, shape (names, lanes); steps before the record have negative numbers."""
-        skipped = math.ceil(SETTLED / (self._task.car.decay(float(self._levels[0])) * self._interval))
+        skipped = math.ceil(SETTLED / (min(map(self._task.car.decay, self._levels.tolist())) * self._interval))
         measured = self._measured()
         rows = np.array([self._task.car.mean_squares.index(name) for name in self.names])
         totals = np.zeros((len(self.names), self._plant.num_envs))

@@ -63,10 +63,10 @@ class Canvas:
             pygame.draw.lines(self.surface, INK, False, front, 3 * self.scale)
 
 
-def body_on_wheel(canvas: Canvas) -> None:
-    """A body on a spring and a damper, on a wheel that follows the road."""
+def body_on_wheel(canvas: Canvas, foot: float) -> None:
+    """A body on a spring and a damper, on a wheel whose lowest point is at ``foot``."""
     middle, bottom = canvas.middle, canvas.heights[0] - BRIDGE - GAP
-    bridge = canvas.contact - BRIDGE
+    bridge = foot - BRIDGE
     canvas.spring(middle - 30, bottom, bridge)
     canvas.box(GREY, middle + 28, bottom, 5, bridge - bottom)
     canvas.box(INK, middle + 18, bridge - 66, 25, 66, 4)
@@ -77,7 +77,7 @@ def body_on_wheel(canvas: Canvas) -> None:
 
     canvas.box(INK, middle - 3, bridge, 6, BRIDGE - HUB)
     canvas.box(INK, middle - 54, bridge - 3, 108, 6, 3)
-    hub = canvas.contact - HUB
+    hub = foot - HUB
     canvas.disc(INK, middle, hub, WHEEL)
     canvas.disc((214, 214, 214), middle, hub, 13)
     canvas.disc(INK, middle + 9 * math.cos(canvas.rolled), hub + 9 * math.sin(canvas.rolled), 2)

@@ -24,7 +24,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from .parameters import ParameterError
+from .parameters import ParameterError, number, number_array
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -76,6 +76,7 @@ class ShapingFilter:
         return np.asarray(np.sum(np.abs(gain) ** 2, axis=-1))
 
 
+RESERVED = frozenset({"level", "level_rate", "damper_force", "slope", "speed", "bandwidth", "turn", "rate", "damping"})
 INPUTS = ("level", "level_rate", "damper_force")  # Z, dZ/dt and F_D, which enter signals beside the states of the car
 
 
@@ -114,19 +115,30 @@ class Motion:
     relative: str = "relative_velocity"
     follows: FloatArray
 
-    @functools.cached_property
-    def rows(self) -> FloatArray:
-        """Factors of the states and of `INPUTS` in each signal, shape (signals, n + 3).
-
-        Raises:
-            ParameterError: a signal of what is none of these.
-        """
+    def __post_init__(self) -> None:
+        """Raise `ParameterError` for matrices of a wrong shape, and for names or terms that are not defined."""
+        size = len(self.states)
+        for name in ("drift", "level_entry", "slope_entry", "force_entry", "follows"):
+            array, shape = number_array(f"{name} of a car's motion", getattr(self, name)), (size,) * (1 + (name == "drift"))
+            if array.shape != shape:
+                raise ParameterError(f"{name} of a car's motion must have the shape {shape}, got {array.shape}")
+            object.__setattr__(self, name, array)
         names = (*self.states, *INPUTS)
         for name, signal in self.signals.items():
-            for term in signal.terms:
+            for term, factor in signal.terms.items():
                 if term not in names:
                     raise ParameterError(f"signal {name!r} has the unknown term {term!r}; known: {', '.join(names)}")
-        return np.array([[signal.terms.get(name, 0.0) for name in names] for signal in self.signals.values()])
+                number(f"factor of {term} in the signal {name!r}", factor)
+        for taken in {*self.states, *self.signals} & RESERVED:
+            raise ParameterError(f"states and signals of a car must not be named {', '.join(sorted(RESERVED))}, got {taken!r}")
+        if self.relative not in self.signals or "damper_force" in self.signals[self.relative].terms:
+            raise ParameterError(f"relative must be a signal that has no damper_force, got {self.relative!r}")
+
+    @functools.cached_property
+    def rows(self) -> FloatArray:
+        """Factors of the states and of `INPUTS` in each signal, shape (signals, n + 3)."""
+        names = (*self.states, *INPUTS)
+        return np.array([[float(signal.terms.get(name, 0.0)) for name in names] for signal in self.signals.values()])
 
     @property
     def rough(self) -> tuple[str, ...]:
@@ -143,13 +155,15 @@ class Motion:
     @property
     def is_one_mass(self) -> bool:
         """Is this the car (1) of Wedig (2020), whose mean squares have closed forms?"""
+        relative = self.rows[list(self.signals).index(self.relative)]
         return self.states == ("displacement", "velocity") and all(
             np.array_equal(own, known)
             for own, known in (
                 (self.drift, [[0, 1], [-1, 0]]),
                 (self.level_entry, [0, 1]),
                 (self.slope_entry, [0, 0]),
-                (self.damper, [[0, 0], [0, -1]]),
+                (self.force_entry, [0, 1]),
+                (relative, [0, 1, 0, -1, 0]),
             )
         )
 

@@ -77,7 +77,8 @@ class History:
     def __init__(self, plant: Plant, car: int = 0) -> None:
         self._plant, self._car = plant, car
         motion = plant.task.car.motion
-        self._heights = [state for state, height in zip(motion.states, motion.follows, strict=True) if height]
+        heights = [state for state, height in zip(motion.states, motion.follows, strict=True) if height]
+        self._heights = heights or list(motion.states[:1])
         self.path = collections.deque([(0.0, self._now("level"))], maxlen=POINTS)
         self.trace: Floats = np.zeros((0, 3))
         self.damping = plant.task.damping_range[0]

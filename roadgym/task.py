@@ -126,6 +126,16 @@ def check_component(component: Road | SpeedNoise | Car, what: str) -> None:
     for attribute, of in COUNTED.items():
         if hasattr(component, attribute):
             whole(f"{attribute} of {name}", getattr(component, attribute), low=0, of=of)
+    if isinstance(component, Car):
+        motion = component.motion
+        if whole(f"squared of {name}", component.squared, low=0) > len(motion.signals):
+            raise ParameterError(
+                f"squared of {name} must be at most its {len(motion.signals)} signals, got {component.squared}"
+            )
+        if component.rows < len(motion.states):
+            raise ParameterError(f"rows of {name} must be at least {len(motion.states)}, its states, got {component.rows}")
+        if not component.decay(1.0) > 0:
+            raise ParameterError(f"drift of {name} must be stable with a damper, where its free motion never ends")
     for role in LANE_FUNCTIONS[what]:
         function = getattr(component, role)
         if not isinstance(function, LaneFunction) and not (what == "road" and role == "prepare" and function is None):
@@ -296,7 +306,7 @@ def make_task(
         control_interval: time between actions, s; 0.2 / natural_frequency by default.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
             speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
-            two, without which the mean squares are off where D switches (`roadgym.kernel.interval_weights`). Fewer are less
+            two, without which the mean squares are off where D switches (`roadgym.record.interval_weights`). Fewer are less
             exact: the mean squares are of fourth order in the angle, which may be 1 rad at most.
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.

@@ -167,6 +167,67 @@ def test_errors_of_cars_tell_what_is_wrong():
         Plant(make_task(car=HungFromTheSky()), 1)
 
 
+def own_motion(**changes):
+    """A car of one's own with other equations than those of one mass."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Own(MatrixCar):
+        @property
+        def motion(self) -> Motion:
+            return dataclasses.replace(MOTION, **changes)
+
+    return Own()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"drift": np.zeros((3, 3))}, r"drift of a car's motion must have the shape \(2, 2\), got \(3, 3\)"),
+        ({"drift": np.array([[0.0, 1.0], [np.nan, 0.0]])}, "drift of a car's motion must be finite, got nan"),
+        ({"drift": np.array([[0.0, 1.0], [-1.0, 3.0]])}, "drift of the matrix car must be stable with a damper"),
+        ({"force_entry": np.ones(1)}, r"force_entry of a car's motion must have the shape \(2,\), got \(1,\)"),
+        ({"relative": "slip"}, "relative must be a signal that has no damper_force, got 'slip'"),
+        ({"relative": "acceleration"}, "relative must be a signal that has no damper_force, got 'acceleration'"),
+        (
+            {"signals": {**MOTION.signals, "speed": Signal({"velocity": 1.0}, "v")}},
+            "must not be named bandwidth, .*got 'speed'",
+        ),
+    ],
+)
+def test_equations_that_are_none_are_refused(changes, message):
+    with pytest.raises(ParameterError, match=message):
+        make_task(car=own_motion(**changes))
+
+
+@pytest.mark.parametrize(("name", "value"), [("rows", 1), ("squared", 9), ("squared", 2.5)])
+def test_rows_that_would_not_hold_the_car_are_refused(name, value):
+    other = dataclasses.make_dataclass("Other", [], bases=(QuarterCar,), namespace={name: value}, frozen=True, kw_only=True)
+    with pytest.raises(ParameterError, match=f"{name} of the one_mass car must be"):
+        make_task(car=other())
+
+
+def test_closed_forms_are_those_of_their_own_equations_alone():
+    """A car that has the names of the car of one mass, and a damper to the sky, or an acceleration that is another."""
+    skyhook = own_motion(signals={**MOTION.signals, "relative_velocity": Signal({"velocity": 1.0}, "v")})
+    other = own_motion(signals={**MOTION.signals, "acceleration": Signal({"displacement": -2.0, "level": 2.0}, "a")})
+    found = analysis.mean_squares(ROAD, damping=0.3, speed=1.0, car=other)
+    assert found.acceleration == pytest.approx(4 * found.travel, rel=1e-9)
+    system = LinearSystem.of(ROAD.shaping_filter(), skyhook.motion, damping=0.3, ratio=1.0)
+    expected = {name: ROAD.variance * square for name, square in system.mean_squares().items()}
+    assert dict(analysis.mean_squares(ROAD, damping=0.3, speed=1.0, car=skyhook)) == pytest.approx(expected)
+    for car in (skyhook, TwoMassCar()):
+        with pytest.raises(ParameterError, match="car must be of one mass"):
+            analysis.optimal_feedback(ROAD, speed=1.0, car=car)
+
+
+def test_every_pair_of_masses_rises_with_the_road():
+    """What rounding leaves of a sum of rates is no rate."""
+    random = np.random.default_rng(3)
+    for sprung, unsprung, spring, tyre in random.uniform((200, 20, 1e4, 1e5), (600, 60, 4e4, 3e5), (200, 4)).tolist():
+        car = TwoMassCar(sprung_mass=sprung, unsprung_mass=unsprung, spring_rate=spring, tyre_rate=tyre)
+        assert np.isfinite(car.table(0.02, (0.05, 1.0))).all()
+
+
 # every car that is registered
 
 

@@ -91,4 +91,4 @@ class Car(abc.ABC):
         """Draw the car; by default a body over a wheel that follows the road."""
         from ..drawing import body_on_wheel
 
-        body_on_wheel(canvas)
+        body_on_wheel(canvas, canvas.contact)

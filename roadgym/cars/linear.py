@@ -99,8 +99,11 @@ class LinearCar(Car):
         motion, size = self.motion, len(self.motion.states)
         if size > STATES:
             raise ParameterError(f"a {self.kind} car must have {STATES} states at most, got {', '.join(motion.states)}")
+        if (self.rows, self.working_rows, self.squared) != (STATES, LinearCar.working_rows, 0):
+            raise ParameterError(f"rows, working_rows and squared of a {self.kind} car are those of LinearCar")
         heights, relative = motion.follows, motion.rows[list(motion.signals).index(motion.relative)]
-        if np.any(motion.drift @ heights + motion.level_entry) or relative[:size] @ heights + relative[size]:
+        forces = np.column_stack([np.vstack([motion.drift, relative[:size]]) * heights, [*motion.level_entry, relative[size]]])
+        if np.any(np.abs(forces.sum(axis=1)) > 1e-9 * np.abs(forces).sum(axis=1)):  # beyond what rounding leaves
             raise ParameterError(f"a {self.kind} car must rise with the road: drift follows + level_entry must be zero")
         low, high = damping
         middle, half = (low + high) / 2, max((high - low) / 2, 1e-9)

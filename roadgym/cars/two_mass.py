@@ -13,12 +13,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..linear import Motion, Signal
 from ..parameters import positive
 from .linear import LinearCar
+
+if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
+    from ..drawing import Canvas
 
 
 @functools.cache
@@ -76,3 +80,9 @@ class TwoMassCar(LinearCar):
     def motion(self) -> Motion:
         """The equations above."""
         return motion_of(self.unsprung_mass / self.sprung_mass, self.tyre_rate / self.spring_rate)
+
+    def draw(self, canvas: Canvas) -> None:
+        """Draw the car; the wheel sinks into the road, and leaves it, as the tyre is pressed and let go."""
+        from ..drawing import body_on_wheel
+
+        body_on_wheel(canvas, canvas.heights[1])
