@@ -40,7 +40,7 @@ from .roads import Road
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
 
-Floats = npt.NDArray[np.floating[Any]]
+Floats = npt.NDArray[np.float64]
 AUTORESET = {"next_step": NEXT_STEP, "same_step": SAME_STEP, "disabled": DISABLED}
 BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
 
@@ -119,7 +119,7 @@ class Interval:
     def __init__(
         self,
         observations: npt.NDArray[np.float32],
-        results: npt.NDArray[np.floating[Any]],
+        results: Floats,
         truncated: npt.NDArray[np.bool_],
         final_observations: npt.NDArray[np.float32],
     ) -> None:
@@ -342,7 +342,7 @@ class Plant:
     def reset(self, forced: npt.NDArray[np.float64], mask: npt.NDArray[np.bool_]) -> Interval:
         """Start the masked environments in their next episode; reward and mean squares are 0."""
         observations = np.empty(self._observed, np.float32)
-        results = np.zeros(self._results, self.dtype)
+        results = np.zeros(self._results)
         self._run(kernel.reset_blocks, forced, mask, observations, results)
         self.started = True
         return Interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
@@ -351,7 +351,7 @@ class Plant:
         """One control interval with the damping ratios ``actions``, shape (num_envs,)."""
         observations = np.empty(self._observed, np.float32)
         final = np.empty_like(observations) if self._autoreset == SAME_STEP else observations
-        results = np.empty(self._results, self.dtype)
+        results = np.empty(self._results)
         truncated = np.empty(self.num_envs, np.bool_)
         self._run(kernel.step_blocks, actions, observations, results, truncated, final)
         return Interval(observations, results, truncated, final)

@@ -101,12 +101,13 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
 
     def _info(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
-        squares = interval.mean_squares.astype(np.float64) * self.task.road.variance
+        squares = interval.mean_squares  # this interval is nobody else's
+        squares *= self.task.road.variance
         info: dict[str, Any] = dict(zip(self.task.car.mean_squares, squares, strict=True))
-        info["damping"] = interval.damping.astype(np.float64)
-        info["speed"] = interval.frequency_ratio.astype(np.float64) * self._metres_per_second
+        info["damping"] = interval.damping
+        info["speed"] = interval.frequency_ratio * self._metres_per_second
         if self.task.bandwidth[1] > 0:
-            info["bandwidth"] = interval.bandwidth.astype(np.float64)
+            info["bandwidth"] = interval.bandwidth
         return info | {"_" + name: mask for name in info}
 
     def _forced(self, chosen: dict[str, Any]) -> npt.NDArray[np.float64]:
@@ -240,4 +241,5 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None, object), truncated.copy()
             for i in np.flatnonzero(truncated):
                 info["final_obs"][i] = interval.final_observations[i]
-        return interval.observations, interval.reward, np.zeros(self.num_envs, np.bool_), truncated, info
+        rewards = interval.reward.astype(self.plant.dtype)
+        return interval.observations, rewards, np.zeros(self.num_envs, np.bool_), truncated, info
