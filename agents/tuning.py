@@ -288,7 +288,7 @@ class _Objective(BaseCallback):
 
     def value(self) -> float:
         """Mean, over operating points, of the cost over that of the best constant damping."""
-        agent = Agent(self.model, {"hyperparameters": self.hyperparameters}, self.task)
+        agent = Agent(self.model, {"hyperparameters": self.hyperparameters, "environment": self.environment}, self.task)
         speeds, bandwidths = ends_and_middle(self.task.speed), ends_and_middle(self.task.bandwidth)
         result = evaluate(
             {"agent": agent},

@@ -8,7 +8,9 @@ import pytest
 
 import agents
 import roadgym
+from agents import tuning
 from agents.cli import main
+from agents.hyperparameters import load_hyperparameters
 from agents.wrappers import find_wrapper
 from roadgym import ParameterError
 from roadgym.vector import QuarterCarVectorEnv
@@ -127,3 +129,13 @@ def test_the_command_line_takes_wrappers_and_compares(folder, capsys):
 def test_wrappers_that_cannot_be_kept_are_refused_before_training(folder, wrapper, message):
     with pytest.raises(ParameterError, match=message):
         agents.train("agent", environment=PLANT, hyperparameters=TINY, wrappers=[wrapper])
+
+
+def test_a_search_tries_what_is_wrapped(folder, monkeypatch):
+    monkeypatch.setattr(tuning, "EPISODES", 16)
+    monkeypatch.setattr(tuning, "DURATION", 20.0)
+    monkeypatch.setitem(tuning.SEARCH_SPACES, "ppo", {"learning_rate": (1e-4, 1e-3)})
+    (folder / "tiny.yaml").write_text(json.dumps({roadgym.ENVIRONMENT_ID: TINY}))
+    options = ["--road", "gaussian", "--speed-range", "0.7", "2", "--hyperparameters", "tiny.yaml", "--output", "best.yaml"]
+    assert main(["tune", "--storage", "s.db", "--trials", "1", "--wrapper", "own_wraps:Mirrored", *options]) == 0
+    assert load_hyperparameters("ppo", "best.yaml")["wrappers"] == ["own_wraps:Mirrored"]
