@@ -36,6 +36,7 @@ from roadgym.vector import QuarterCarVectorEnv
 from .actions import damping_from_action
 from .errors import AgentError
 from .features import Sight
+from .records import plain
 from .wrappers import ActionLayer, learning, wrap
 
 if TYPE_CHECKING:
@@ -167,8 +168,13 @@ def task_of(description: Mapping[str, Any]) -> Task:
     return make_task(**description["environment"])
 
 
+def complete(hyperparameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Hyperparameters as they are compared: in terms of what JSON knows, with the reward that holds where none is named."""
+    return {"training_reward": "cost", **plain(hyperparameters)}
+
+
 def read_description(path: Path) -> dict[str, Any]:
-    """The content of the agent.json in a folder, checked.
+    """The content of the agent.json in a folder, checked, with complete hyperparameters.
 
     Raises:
         AgentError: the folder holds no agent, or a damaged one.
@@ -196,7 +202,7 @@ def read_description(path: Path) -> dict[str, Any]:
     model = path / description["model"]
     if not MODEL.fullmatch(description["model"]) or not zipfile.is_zipfile(model):
         raise AgentError(f"the agent in {str(path)!r} is damaged: {model.name!r} is missing or not a model file")
-    return description
+    return description | {"hyperparameters": complete(description["hyperparameters"])}
 
 
 def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ import dataclasses
 import enum
 import importlib.metadata
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +104,18 @@ def locked(path: Path, work: str) -> Iterator[None]:
         except OSError as error:
             raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
         yield
+
+
+def differing(known: Any, value: Any, show: Callable[[Any], str] = repr) -> tuple[str, str]:
+    """Two values in words; of mappings no more than what differs."""
+    if not (isinstance(known, Mapping) and isinstance(value, Mapping)):
+        return show(known), show(value)
+    names = [name for name in {**known, **value} if name not in known or name not in value or known[name] != value[name]]
+
+    def told(side: Mapping[str, Any]) -> str:
+        return ", ".join(f"{show(name)}: {show(side[name]) if name in side else 'not given'}" for name in names)
+
+    return f"{{{told(known)}}}", f"{{{told(value)}}}"
 
 
 def plain(value: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import json
 import logging
 import os
 import sys
@@ -29,6 +28,7 @@ from .agent import (
     STATISTICS,
     Agent,
     algorithm_class,
+    complete,
     load,
     read_description,
     save,
@@ -40,6 +40,7 @@ from .progress import training_progress
 from .records import (
     LOCK,
     PACKAGES,
+    differing,
     locked,
     make_folder,
     make_output,
@@ -282,7 +283,8 @@ def train(
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     if resume:
         description = read_description(path)
-        _refuse_contradictions(path, description, algorithm, environment, hyperparameters, seed)
+        asked = None if hyperparameters is None else complete(hyperparameters)
+        _refuse_contradictions(path, description, algorithm, environment, asked, seed)
         if timesteps is not None and outlasts(description, timesteps):
             known = description["timesteps"]
             raise ParameterError(f"timesteps must be at least the {known} of the agent in {str(path)!r}, got {timesteps}")
@@ -299,7 +301,7 @@ def train(
             "format": FORMAT,
             "algorithm": algorithm,
             "environment": environment,
-            "hyperparameters": plain(hyperparameters),
+            "hyperparameters": complete(hyperparameters),
             "training_reward": training_reward(hyperparameters.get("training_reward", "cost"), task),
             "imports": _homes(task, imports),
             "seed": seed,
@@ -334,7 +336,7 @@ def train(
                     save(path, model, description)
                     raise
             save(path, model, description)
-        description = json.loads((path / DESCRIPTION).read_text(encoding="utf-8"))
+        description = read_description(path)
     return Agent(model, description, task_of(description))
 
 
@@ -353,13 +355,9 @@ def _refuse_agent(path: Path) -> None:
 def _refuse_contradictions(path: Path, description: Mapping[str, Any], *given: Any) -> None:
     """What is ``given`` of algorithm, environment, hyperparameters and seed must be that of the agent that is resumed."""
     for name, value in zip(("algorithm", "environment", "hyperparameters", "seed"), map(plain, given), strict=True):
-        known = description[name]
-        if value is None or value == known:
-            continue
-        if isinstance(known, dict) and isinstance(value, dict):  # tell no more than what differs
-            differ = [key for key in {**known, **value} if known.get(key) != value.get(key)]
-            known, value = ({key: side.get(key) for key in differ} for side in (known, value))
-        raise ParameterError(f"{name} must be {known!r}, as of the agent in {str(path)!r} that is resumed, got {value!r}")
+        if value is not None and value != description[name]:
+            known, got = differing(description[name], value)
+            raise ParameterError(f"{name} must be {known}, as of the agent in {str(path)!r} that is resumed, got {got}")
 
 
 def total_timesteps(algorithm: str, hyperparameters: Mapping[str, Any], timesteps: int | None) -> int:

@@ -24,10 +24,10 @@ from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, whole
 from roadgym.task import Task, make_task
 
-from .agent import DEFAULT_ENVIRONMENT, Agent, algorithm_class
+from .agent import DEFAULT_ENVIRONMENT, Agent, algorithm_class, complete
 from .errors import AgentError
 from .evaluation import evaluate, make_points
-from .records import Purpose, locked, make_folder, make_output, plain, stream_seed, write_atomically
+from .records import Purpose, differing, locked, make_folder, make_output, plain, stream_seed, write_atomically
 from .theory import optimum
 from .training import load_hyperparameters, make_model
 
@@ -131,7 +131,7 @@ def tune(
     plant: dict[str, Any] = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
     task = make_task(**plant)
     torch.set_num_threads(1)  # as in training
-    asked = {"algorithm": algorithm, "environment": plant, "hyperparameters": plain(base), "seed": seed}
+    asked = {"algorithm": algorithm, "environment": plant, "hyperparameters": complete(base), "seed": seed}
 
     def report_of(number: int, best: float | None) -> Callable[[int], None]:
         return lambda done: report(number, done, total, best)
@@ -195,13 +195,11 @@ def _open(package: Any, path: Path, asked: dict[str, Any]) -> optuna.Study:
         raise AgentError(f"cannot use {str(path)!r} as a study: {str(error).splitlines()[0]}") from None
     for name, value in asked.items():
         known = study.user_attrs.get(name, value)
+        if name == "hyperparameters":
+            known = complete(known)
         if known != value:
-            if isinstance(known, dict) and isinstance(value, dict):  # tell no more than what differs
-                differ = [key for key in {**known, **value} if known.get(key) != value.get(key)]
-                known, value = ({key: side.get(key) for key in differ} for side in (known, value))
-            raise ParameterError(
-                f"{name} of the study in {str(path)!r} is {json.dumps(known)}, got {json.dumps(value)}: choose another file"
-            )
+            told, got = differing(known, value, json.dumps)
+            raise ParameterError(f"{name} of the study in {str(path)!r} is {told}, got {got}: choose another file")
         study.set_user_attr(name, value)
     for trial in study.get_trials(deepcopy=False, states=(package.trial.TrialState.RUNNING,)):
         _interrupt(study, trial.number)

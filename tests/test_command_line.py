@@ -62,6 +62,10 @@ def place(trained, tmp_path, monkeypatch):
             "environment must be {'road': 'multiplicative'}, .* got",
         ),
         (
+            ["train", "--resume", "--output", "a", "--natural-frequency", "2"],
+            "environment must be {'natural_frequency': not given}, .* got {'natural_frequency': 2.0}",
+        ),
+        (
             ["train", "--resume", "--output", "a", "--timesteps", "8"],
             "timesteps must be at least the 256 of the agent .*, got 8",
         ),

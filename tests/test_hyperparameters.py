@@ -7,6 +7,7 @@ from test_training import ENVIRONMENT, SMALL, shrunken
 
 import agents
 import roadgym
+from agents.agent import complete
 from agents.training import load_hyperparameters
 from roadgym import ParameterError
 
@@ -82,6 +83,30 @@ def test_what_a_file_of_the_zoo_may_not_ask_for(tmp_path, content, message):
     file.write_text(f"roadgym/QuarterCar-v0: {content}")
     with pytest.raises(ParameterError, match=re.escape(message)):
         load_hyperparameters("ppo", file)
+
+
+EARLIER = {  # sac.yaml before it was one of rl-baselines3-zoo's too
+    "n_envs": 64,
+    "n_timesteps": 800000,
+    "policy": "MlpPolicy",
+    "normalize": {"norm_obs": False, "norm_reward": True},
+    "features": ["signals", "products", "lookahead"],
+    "buffer_size": 300000,
+    "learning_starts": 20000,
+    "train_freq": 1,
+    "gradient_steps": 2,
+    "batch_size": 512,
+    "gamma": 0.95,
+    "tau": 0.01,
+    "ent_coef": "auto_0.01",
+    "target_entropy": -4,
+    "learning_rate": "lin_0.001",
+    "policy_kwargs": {"net_arch": [64, 64], "activation_fn": "ReLU"},
+}
+
+
+def test_a_shipped_file_asks_for_the_agents_that_it_trained_before():
+    assert complete(EARLIER) == complete(load_hyperparameters("sac"))
 
 
 def test_the_wrapper_of_a_file_brings_its_defaults(tmp_path):

@@ -14,6 +14,8 @@ import agents
 import roadgym
 from agents import training
 from agents.cli import main
+from agents.cli.commands import _kind
+from agents.comparison import group_agents
 from agents.features import FEATURES
 from agents.training import ALGORITHMS, HYPERPARAMETERS, AgentError, load_hyperparameters, make_model, plain, training_seed
 from roadgym.files import locked
@@ -72,7 +74,7 @@ def test_loaded_agent_is_the_trained_one(trained):
     np.testing.assert_array_equal(loaded.predict(OBSERVATIONS)[0], agent.predict(OBSERVATIONS)[0])
     description = json.loads((folder / "agent.json").read_text())
     assert description["environment"] == ENVIRONMENT
-    assert description["hyperparameters"] == SMALL
+    assert description["hyperparameters"] == SMALL | {"training_reward": "cost"}
     assert description["seed"] == 3
     assert description["timesteps"] == 256
     assert set(description["versions"]) >= {"python", "roadgym", "torch", "stable-baselines3", "gymnasium"}
@@ -112,6 +114,20 @@ def test_every_algorithm_trains_saves_and_loads(each):
 
 def parameters(agent):
     return {name: value.numpy() for name, value in agent.model.policy.state_dict().items()}
+
+
+def test_agents_that_name_no_reward_learned_from_the_cost_and_go_on(tmp_path):
+    """As earlier versions wrote them, whose files of hyperparameters left the default out."""
+    asked = SMALL | {"training_reward": "cost"}
+    for name in ("a", "b"):
+        agents.train(tmp_path / name, environment=ENVIRONMENT, hyperparameters=asked)
+    file = tmp_path / "a" / "agent.json"
+    earlier = json.loads(file.read_text()) | {"hyperparameters": SMALL}
+    file.write_text(json.dumps(earlier))
+    agent = agents.train(tmp_path / "a", resume=True, environment=ENVIRONMENT, hyperparameters=asked)
+    groups, _ = group_agents({"a": agent, "b": agents.load(tmp_path / "b")})
+    assert list(groups) == ["agent"]
+    assert _kind(earlier) == _kind(agent.description)
 
 
 def test_every_algorithm_repeats_by_seed_and_resumes(each, tmp_path):

@@ -78,6 +78,8 @@ def test_study_goes_on_and_repeats(studied, tmp_path):
     assert [trials[k].value for k in (0, 3, 4)] == [trial.value for trial in trials_of(path)]
     assert again.hyperparameters == best.hyperparameters
     assert search(tmp_path / "study.db") == again  # nothing was left to do
+    study.set_user_attr("hyperparameters", TINY | {"n_timesteps": 4096})  # as earlier versions wrote it
+    assert search(tmp_path / "study.db", hyperparameters=TINY | {"training_reward": "cost"}) == again
     assert len(trials_of(tmp_path / "study.db")) == 5
 
 

@@ -242,7 +242,10 @@ def _refuse_training(chosen: argparse.Namespace, descriptions: Mapping[str, Mapp
 
 def _kind(description: Mapping[str, Any]) -> dict[str, Any]:
     """What agents have in common that differ in the seed alone."""
-    return {name: description[name] for name in ("algorithm", "environment", "hyperparameters")}
+    from ..agent import complete
+
+    own = {name: description[name] for name in ("algorithm", "environment")}
+    return own | {"hyperparameters": complete(description["hyperparameters"])}
 
 
 def _asked(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, Any]:
