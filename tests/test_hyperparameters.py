@@ -69,6 +69,10 @@ def test_hyperparameter_files(tmp_path, monkeypatch):
             "{env_wrapper: [agents.wrappers.learning, other.one]}",
             "env_wrapper must be agents.wrappers.learning alone, got ['",
         ),
+        (
+            "{features: [signals], env_wrapper: {agents.wrappers.learning: {features: [products]}}}",
+            "features must stand in the file once, got ['signals'] beside ['products']",
+        ),
         ("{noise_type: ornstein-uhlenbeck}", "noise_type must be normal, got 'ornstein-uhlenbeck'"),
         ("{policy_kwargs: \"dict(net_arch=open('x'))\"}", "policy_kwargs must be a mapping, or dict(...) of plain values and "),
         ('{policy_kwargs: "print(1)"}', "policy_kwargs must be a mapping, or dict(...) of plain values and classes of nn"),
@@ -117,6 +121,13 @@ def test_the_wrapper_of_a_file_brings_its_defaults(tmp_path):
         "training_reward": "advantage",
         "normalize": {"norm_obs": False},
     }
+
+
+def test_what_stands_beside_the_wrapper_of_a_file_is_not_lost(tmp_path):
+    file = tmp_path / "own.yaml"
+    wrapper = "{agents.wrappers.learning: {training_reward: cost}}"
+    file.write_text(f"roadgym/QuarterCar-v0: {{features: [signals], training_reward: cost, env_wrapper: {wrapper}}}")
+    assert load_hyperparameters("ppo", file) == {"features": ["signals"], "training_reward": "cost"}
 
 
 def test_hyperparameters_that_would_not_fit_into_memory_are_refused(tmp_path):

@@ -66,7 +66,11 @@ def _from_zoo(found: Mapping[str, Any]) -> dict[str, Any]:
         given = {given: {}} if isinstance(given, str) else given
         if not isinstance(given, dict) or list(given) != [LEARNING] or not isinstance(given[LEARNING] or {}, dict):
             raise ParameterError(f"env_wrapper must be {LEARNING} alone, got {shown(wrapper)}")
-        result |= {"features": list(FEATURES), "training_reward": "advantage"} | (given[LEARNING] or {})
+        arguments = given[LEARNING] or {}
+        for name, value in arguments.items():
+            if result.setdefault(name, value) != value:
+                raise ParameterError(f"{name} must stand in the file once, got {shown(result[name])} beside {shown(value)}")
+        result = {"features": list(FEATURES), "training_reward": "advantage"} | result
     if result.pop("noise_type", "normal") != "normal":
         raise ParameterError(f"noise_type must be normal, got {shown(found['noise_type'])}")
     for name in ("policy_kwargs", "normalize"):
