@@ -138,8 +138,14 @@ def answers(controller: Predictor, task: Task) -> Callable[..., tuple[npt.NDArra
     """The controller's ``predict``, whose answers are damping ratios in the range of ``task``; any other raises in use.
 
     Raises:
-        ParameterError: an action space that cannot be mapped onto the range.
+        ParameterError: an action space that cannot be mapped onto the range, or an observation space of other observations.
     """
+    handed, space = observed_by(controller, task), getattr(controller, "observation_space", None)
+    if space is not None and space.shape != (len(handed),):
+        raise ParameterError(
+            f"observation_space must have the shape ({len(handed)},) of {', '.join(handed)}, got {space.shape}: "
+            "train with agents.train, or wrap predict so that it makes what the model sees of them"
+        )
     read = damping_reader(getattr(controller, "action_space", None), task.damping_range)
 
     def predict(*arguments: Any, **named: Any) -> tuple[npt.NDArray[np.float32], Any]:
@@ -150,18 +156,20 @@ def answers(controller: Predictor, task: Task) -> Callable[..., tuple[npt.NDArra
 
 
 def drive(
-    controller: Predictor, envs: QuarterCarVectorEnv, seed: int, options: Mapping[str, Any]
+    controller: Predictor, envs: QuarterCarVectorEnv, seed: int, options: Mapping[str, Any], task: Task | None = None
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any], dict[str, Any]]]:
     """Drive on and on after a reset, handing the controller what it observes of the signals of ``envs``.
+
+    One without a task of its own observes the signals of ``task``, by default all of them.
 
     Yields:
         Observations before the step, damping ratios, rewards and infos of each step.
     """
     column = {signal: i for i, signal in enumerate(envs.task.signals)}
-    columns = [column[signal] for signal in observed_by(controller, envs.task)]
+    columns = [column[signal] for signal in observed_by(controller, task or envs.task)]
     observations, _ = envs.reset(seed=seed, options=dict(options))
     state, start = None, np.ones(envs.num_envs, np.bool_)
-    predict = answers(controller, envs.task)
+    predict = answers(controller, task or envs.task)
     while True:
         damping, state = predict(observations[:, columns], state, start, deterministic=True)
         start = np.zeros(envs.num_envs, np.bool_)
@@ -218,6 +226,8 @@ def evaluate(
     number = episodes * len(points)
     observed = dict.fromkeys(signal for controller in controllers.values() for signal in observed_by(controller, task))
     envs = QuarterCarVectorEnv(number, max_episode_steps=None, **{**environment, "observation": list(observed)})
+    for controller in controllers.values():
+        answers(controller, task)  # what cannot drive is told at once
     options: dict[str, Any] = {"speed": np.repeat([point.speed for point in points], episodes)}
     if task.bandwidth[1] > 0:
         options["bandwidth"] = np.repeat([point.bandwidth for point in points], episodes)
@@ -229,7 +239,7 @@ def evaluate(
         turn = next(turns)
         total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
         firm = np.zeros(number, np.bool_)
-        steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options)
+        steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options, task)
         for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
             was_firm, firm = firm, damping[:, 0] > middle
             if step >= skipped:

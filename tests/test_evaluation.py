@@ -3,12 +3,17 @@
 import re
 from types import SimpleNamespace
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
+from stable_baselines3 import PPO
 
 import agents
+import roadgym
+from agents.wrappers import learning
 from roadgym import ParameterError
+from roadgym.task import make_task
 
 ENVIRONMENT = {"speed": 1.0, "damping_range": (0.2, 0.6)}
 POINT = {"environment": ENVIRONMENT, "speeds": [1.0], "bandwidths": [0.1], "episodes": 16, "duration": 10.0}
@@ -22,6 +27,26 @@ def always(action, space=None):
 
     given = {} if space is None else {"action_space": space}
     return SimpleNamespace(predict=predict, **given)
+
+
+def test_a_model_of_other_observations_is_refused_with_what_to_do():
+    model = PPO("MlpPolicy", learning(gymnasium.make(roadgym.ENVIRONMENT_ID, **ENVIRONMENT)), device="cpu")
+    message = r"observation_space must have the shape \(6,\) of displacement, .*, got \(18,\): train with agents.train, or wrap"
+    with pytest.raises(ParameterError, match=message):
+        agents.evaluate({"model": model}, **POINT)
+
+
+def test_who_has_no_task_observes_the_environment_whoever_drives_beside():
+    widths = set()
+
+    def predict(observation, state=None, episode_start=None, deterministic=True):
+        widths.add(observation.shape[1])
+        return np.full((len(observation), 1), 0.3, np.float32), state
+
+    environment = ENVIRONMENT | {"observation": ["travel"], "observe_operating_point": False}
+    whole = agents.make_controller("skyhook", make_task(**ENVIRONMENT))
+    agents.evaluate({"narrow": SimpleNamespace(predict=predict), "whole": whole}, **POINT | {"environment": environment})
+    assert widths == {1}
 
 
 @pytest.mark.parametrize(
