@@ -37,7 +37,7 @@ from .actions import damping_from_action
 from .errors import AgentError
 from .features import Sight
 from .records import plain
-from .wrappers import ActionLayer, learning, wrap
+from .wrappers import ActionLayer, blamed, learning, wrap
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -121,7 +121,8 @@ class Agent:
         frames = self.sight.stack(frames, rows, episode_start)
         action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
         for layer in self._layers:
-            action = layer.actions(action)
+            with blamed(type(layer).__name__):
+                action = layer.actions(action)
         damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
         remembered = None if frames is None and memory is None else (frames, memory)
         return damping.reshape((*observation.shape[:-1], 1)), remembered
@@ -149,7 +150,10 @@ def load(folder: str | Path) -> Agent:
     except InstallationError:
         raise
     except Exception as error:  # unpickling damaged files can raise anything
-        raise AgentError(f"cannot load the agent in {str(path)!r}: {' '.join(str(error).split())}") from None
+        remedy = "; its module must lie in the working folder or on PYTHONPATH"
+        missing = isinstance(error, ParameterError) and isinstance(error.__cause__, ModuleNotFoundError)
+        reason = " ".join(str(error).split()) + (remedy if missing else "")
+        raise AgentError(f"cannot load the agent in {str(path)!r}: {reason}") from None
     return agent
 
 

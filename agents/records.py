@@ -15,6 +15,7 @@ import numpy as np
 
 from roadgym import files
 from roadgym.files import whole_file
+from roadgym.parameters import ParameterError, shown
 
 from .errors import AgentError
 
@@ -104,6 +105,18 @@ def locked(path: Path, work: str) -> Iterator[None]:
         except OSError as error:
             raise AgentError(f"cannot write {str(path)!r}: {error.strerror or error}") from None
         yield
+
+
+def texts(name: str, value: Any) -> list[str]:
+    """A list of strings, or one string, as a list.
+
+    Raises:
+        ParameterError: something else.
+    """
+    found = [value] if isinstance(value, str) else value
+    if not isinstance(found, (list, tuple)) or not all(isinstance(text, str) for text in found):
+        raise ParameterError(f"{name} must be a list of strings, got {shown(value)}")
+    return list(found)
 
 
 def differing(known: Any, value: Any, show: Callable[[Any], str] = repr) -> tuple[str, str]:

@@ -153,7 +153,10 @@ def theory_given(agent: Predictor) -> str | None:
     }.get(agent.description.get("training_reward", ""))
     if reward is None:  # of an agent that was trained before this was noted
         return None
-    lookahead = has_lookahead(agent.task, agent.description["hyperparameters"].get("features", ()))
+    hyperparameters = agent.description["hyperparameters"]
+    lookahead = has_lookahead(agent.task, hyperparameters.get("features", ()))
+    if hyperparameters.get("wrappers"):
+        reward += f", as changed by {' and '.join(hyperparameters['wrappers'])}"
     return f"learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from roadgym import files
+from roadgym.component import import_modules
 from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
@@ -46,12 +47,13 @@ from .records import (
     make_output,
     plain,
     stream_seed,
+    texts,
     training_seed,
     versions,
     write_atomically,
 )
 from .vec_env import QuarterCarVecEnv
-from .wrappers import training_reward, wrapper_name
+from .wrappers import training_reward, with_wrappers, wrapper_names
 
 with needs("train"):
     import torch
@@ -257,16 +259,16 @@ def train(
         timesteps: control intervals to train for in all, over every environment; by default the hyperparameters' n_timesteps.
             An algorithm learns from whole rollouts (`rollout`), so the last one is completed.
         checkpoint_interval: timesteps between checkpoints.
-        resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters and seed hold, and must be those
-            that are given. The noise of the second part is new, so the result differs from that of one unbroken run, but
-            repeats. A replay buffer is not saved: an off-policy algorithm fills it anew, for learning_starts timesteps of
-            random damping, before it learns on.
+        resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters, wrappers and seed hold, and
+            must be those that are given. The noise of the second part is new, so the result differs from that of one unbroken
+            run, but repeats. A replay buffer is not saved: an off-policy algorithm fills it anew, for learning_starts timesteps
+            of random damping, before it learns on.
         wrappers: functions or classes, or "module:name" of them, around the batch of training, the innermost first, after those
             of the hyperparameters: Gymnasium's vector wrappers or one's own. They may pay other rewards, made of the infos, and
             map actions as a ``VectorActionWrapper`` does, which the agent repeats wherever it drives; observations must stay
             as they are. Costs are evaluated without them.
-        imports: modules that register components of one's own, which `agents.load` imports again where one is not known. Those
-            that hold the components' classes need not be named.
+        imports: modules that register components of one's own; they are imported here, and `agents.load` imports them again
+            where a component is not known. Those that hold the components' classes need not be named.
         tensorboard: write logs for TensorBoard under ``folder``.
         report: called as ``report(timesteps done, in all, mean reward a step of recent episodes or None)``; by default progress
             is told on the error stream, and `silent` tells nothing.
@@ -281,9 +283,16 @@ def train(
     whole("checkpoint_interval", checkpoint_interval)
     path = Path(folder)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
+    imports = texts("imports", imports)
+    import_modules(imports)
+    names = wrapper_names(wrappers)
     if resume:
         description = read_description(path)
-        asked = None if hyperparameters is None else complete(hyperparameters)
+        asked = None
+        if hyperparameters is not None or names:
+            own = description["hyperparameters"]
+            inner = own | {"wrappers": own.get("wrappers", [])[: -len(names)]} if hyperparameters is None else hyperparameters
+            asked = complete(with_wrappers(inner, names))
         _refuse_contradictions(path, description, algorithm, environment, asked, seed)
         if timesteps is not None and outlasts(description, timesteps):
             known = description["timesteps"]
@@ -292,9 +301,7 @@ def train(
         _refuse_agent(path)
         algorithm, seed = "ppo" if algorithm is None else algorithm, 0 if seed is None else seed
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
-        if wrappers:
-            named = [*hyperparameters.get("wrappers", ()), *map(wrapper_name, wrappers)]
-            hyperparameters = {**hyperparameters, "wrappers": named}
+        hyperparameters = with_wrappers(hyperparameters, names)
         environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
         task = make_task(**environment)
         description = {
@@ -316,16 +323,21 @@ def train(
     if timesteps is not None and total != timesteps:
         of = rollout(description["algorithm"], description["hyperparameters"])
         logging.getLogger("roadgym").warning("%d timesteps are no whole rollouts of %d: training for %d", timesteps, of, total)
+    if not resume:
+        own = description["hyperparameters"], description["environment"]
+        model = make_model(description["algorithm"], *own, description["seed"], _log(path, tensorboard))
     make_folder(path)
     with locked(path / LOCK, "training"):
         files.remove_parts(path)
+        new: list[str] = []
         if resume:
             description = read_description(path)  # another training may have gone on with it
+            known = description.get("imports", [])
+            new = [name for name in imports if name not in known]
+            description["imports"] = [*known, *new]
             model = _resumed(path, description, tensorboard)
         else:
             _refuse_agent(path)
-            own = description["hyperparameters"], description["environment"]
-            model = make_model(description["algorithm"], *own, description["seed"], _log(path, tensorboard))
         remaining = total - model.num_timesteps
         if remaining > 0:
             with training_progress() if report is None else contextlib.nullcontext(report) as tell:
@@ -335,6 +347,7 @@ def train(
                 except KeyboardInterrupt:
                     save(path, model, description)
                     raise
+        if remaining > 0 or new:
             save(path, model, description)
         description = read_description(path)
     return Agent(model, description, task_of(description))

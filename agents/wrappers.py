@@ -12,8 +12,9 @@ each episode, and the step that only begins one is paid 0.
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, cast, overload
 
 import gymnasium
@@ -29,6 +30,7 @@ from gymnasium.vector import (
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.vector import VectorizeTransformAction
 
+from roadgym import PlantError
 from roadgym.component import import_modules
 from roadgym.parameters import ParameterError, shown, single_precision, whole
 from roadgym.task import Task
@@ -37,6 +39,7 @@ from .actions import action_space, damping_from_action
 from .advantage import has_advantage
 from .advantage_reward import SavedCost
 from .features import FEATURES, Rows, Sight
+from .records import texts
 
 Environment = gymnasium.Env[Any, Any]
 Batch = VectorEnv[Any, Any, Any]
@@ -140,10 +143,35 @@ def wrapper_name(wrapper: Callable[[Batch], Batch] | str) -> str:
     Raises:
         ParameterError: it is not found, such as a lambda.
     """
-    name = wrapper if isinstance(wrapper, str) else f"{wrapper.__module__}:{getattr(wrapper, '__qualname__', '')}"
-    if (found := find_wrapper(name)) is not wrapper and not isinstance(wrapper, str):
+    if isinstance(wrapper, str):
+        find_wrapper(wrapper)
+        return wrapper
+    name = f"{getattr(wrapper, '__module__', '')}:{getattr(wrapper, '__qualname__', '')}"
+    if (found := find_wrapper(name)) is not wrapper:
         raise ParameterError(f"wrapper must be what its module has under its name, got {shown(wrapper)}, not {shown(found)}")
     return name
+
+
+def wrapper_names(wrappers: Any) -> list[str]:
+    """The names of wrappers, each a function, a class or a name; one alone need be no list.
+
+    Raises:
+        ParameterError: something else, or one that is not found.
+    """
+    each = [wrappers] if callable(wrappers) else wrappers
+    if isinstance(each, (list, tuple)):
+        each = [wrapper_name(wrapper) if callable(wrapper) else wrapper for wrapper in each]
+    return list(map(wrapper_name, texts("wrappers", each)))
+
+
+def with_wrappers(hyperparameters: Mapping[str, Any], wrappers: Any) -> dict[str, Any]:
+    """Hyperparameters with these wrappers around those that they have.
+
+    Raises:
+        ParameterError: what `wrapper_names` refuses.
+    """
+    names = wrapper_names(hyperparameters.get("wrappers", ())) + wrapper_names(wrappers)
+    return {**hyperparameters, **({"wrappers": names} if names else {})}
 
 
 def wrap(batch: Batch, names: Sequence[str]) -> tuple[Batch, list[ActionLayer]]:
@@ -151,15 +179,14 @@ def wrap(batch: Batch, names: Sequence[str]) -> tuple[Batch, list[ActionLayer]]:
 
     Raises:
         ParameterError: what wraps nothing, or changes what is observed or answered in a way that an agent cannot repeat: the
-            observations at all, or the actions by more than a ``VectorActionWrapper`` that takes any number of rows.
+            observations at all, or the actions by more than a ``VectorActionWrapper`` that takes any number of rows. In use,
+            what a wrapper raises, or returns that is no step of a batch.
     """
     layers: list[ActionLayer] = []
-    for name in names:
+    for name in wrapper_names(names):
         put_on = find_wrapper(name)
-        try:
+        with blamed(name):
             outer = layer = put_on(batch)
-        except (TypeError, ValueError, AssertionError) as error:
-            raise ParameterError(f"wrapper {name!r}: {' '.join(str(error).split())}") from error
         found: list[ActionLayer] = []
         while layer is not batch:
             if not isinstance(layer, VectorWrapper):
@@ -172,14 +199,68 @@ def wrap(batch: Batch, names: Sequence[str]) -> tuple[Batch, list[ActionLayer]]:
             if layer.single_observation_space != inner.single_observation_space:
                 raise ParameterError(f"wrapper {name!r} changes observations: an agent would not see them so when it drives")
             layer = inner
-        batch, layers = outer, found + layers
+        batch, layers = _Checked(outer, name), found + layers
     return batch, layers
+
+
+@contextlib.contextmanager
+def blamed(name: str) -> Iterator[None]:
+    """Tell in one line what a wrapper raises, which can be anything; faults of the plant below it are not its own.
+
+    Raises:
+        ParameterError: it raised.
+    """
+    try:
+        yield
+    except (PlantError, MemoryError):
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())
+        if isinstance(error, ParameterError):
+            raise ParameterError(text if text.startswith("wrapper ") else f"wrapper {name!r}: {text}") from error
+        raise ParameterError(f"wrapper {name!r}: {type(error).__name__}: {text}") from error
+
+
+class _Checked(VectorWrapper[Any, Any, Any, Any, Any]):
+    """Around somebody else's wrapper: what it returns is a step of a batch."""
+
+    def __init__(self, env: Batch, name: str) -> None:
+        super().__init__(env)
+        self._name = name
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episode, everywhere or where the options say."""
+        with blamed(self._name):
+            observations, infos = self.env.reset(seed=seed, options=options)
+        return observations, infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Drive one control interval."""
+        with blamed(self._name):
+            observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        if not isinstance(rewards, np.ndarray) or rewards.shape != (self.num_envs,) or rewards.dtype.kind not in "fiu":
+            raise ParameterError(
+                f"wrapper {self._name!r} must return an array of rewards, shape ({self.num_envs},), got {shown(rewards)}"
+            )
+        if not isinstance(infos, dict):
+            raise ParameterError(f"wrapper {self._name!r} must return a mapping of infos, got {shown(infos)}")
+        return observations, rewards, terminated, truncated, infos
+
+
+def _refuse_second(env: Environment | Batch) -> None:
+    """Actions are taken for damping ratios once."""
+    layer = env
+    while isinstance(layer, (gymnasium.Wrapper, VectorWrapper)):
+        if isinstance(layer, (DampingAction, VectorDampingAction)):
+            raise ParameterError(f"env must take damping ratios, got one within {type(layer).__name__} already: wrap it once")
+        layer = layer.env
 
 
 class DampingAction(gymnasium.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
     """Takes actions in [-1, 1], or ``levels`` of them, for damping ratios; see `agents.actions.damping_from_action`."""
 
     def __init__(self, env: Environment, levels: int | None = None) -> None:
+        _refuse_second(env)
         RecordConstructorArgs.__init__(self, levels=levels)
         gymnasium.ActionWrapper.__init__(self, env)
         self.levels = None if levels is None else whole("damping_levels", levels, low=2, of="levels")
@@ -275,6 +356,7 @@ class VectorDampingAction(_VectorWrapper):
     """`DampingAction` of a batch: actions of shape (num_envs, 1), or (num_envs,) where they are levels."""
 
     def __init__(self, env: Batch, levels: int | None = None) -> None:
+        _refuse_second(env)
         super().__init__(env)
         self.levels = None if levels is None else whole("damping_levels", levels, low=2, of="levels")
         self.single_action_space = action_space(self.levels)

@@ -147,3 +147,6 @@ def test_other_environments_and_rewards_are_refused():
         wrappers.learning(gymnasium.make("CartPole-v1"))
     with pytest.raises(ParameterError, match='training_reward must be "cost" or "advantage", got \'comfort\''):
         single(training_reward="comfort")
+    for env in (single(), batch(2)):
+        with pytest.raises(ParameterError, match=r"env must take damping ratios, got one within \w+ already: wrap it once"):
+            wrappers.learning(env)

@@ -50,25 +50,25 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
 def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
     """Those of the file, with the wrappers of the command line."""
     from ..hyperparameters import load_hyperparameters
-    from ..wrappers import wrapper_name
+    from ..wrappers import with_wrappers
 
-    found = load_hyperparameters(chosen.algorithm, chosen.hyperparameters)
-    added = {"wrappers": [*found.get("wrappers", ()), *map(wrapper_name, chosen.wrapper)]}
-    return found | (added if chosen.wrapper else {})
+    return with_wrappers(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), chosen.wrapper)
 
 
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
     """Train an agent, or go on with it: then what is given must be what it was trained with."""
+    from ..hyperparameters import load_hyperparameters
     from ..training import train
 
-    def given(value: Any, *names: str) -> Any:
-        return value if not resume or chosen.given & set(names) else None
+    def given(value: Any, name: str) -> Any:
+        return value if not resume or name in chosen.given else None
 
     return train(
         folder,
         algorithm=given(chosen.algorithm, "algorithm"),
         environment=environment,
-        hyperparameters=given(_hyperparameters(chosen), "hyperparameters", "wrapper"),
+        hyperparameters=given(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), "hyperparameters"),
+        wrappers=chosen.wrapper,
         seed=given(seed, "seed"),
         timesteps=chosen.timesteps,
         checkpoint_interval=chosen.checkpoint_interval,
