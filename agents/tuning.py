@@ -30,6 +30,7 @@ from .evaluation import evaluate, make_points
 from .records import Purpose, differing, locked, make_folder, make_output, plain, stream_seed, write_atomically
 from .theory import optimum
 from .training import load_hyperparameters, make_model
+from .wrappers import with_wrappers
 
 with needs("train"):
     import torch
@@ -126,7 +127,7 @@ def tune(
     algorithm_class(algorithm)
     whole("trials", trials)
     whole("seed", seed, low=0)
-    base = load_hyperparameters(algorithm) if hyperparameters is None else dict(hyperparameters)
+    base = with_wrappers(load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters, ())
     total = base["n_timesteps"] = whole("timesteps", int(base.get("n_timesteps", 0)) if timesteps is None else timesteps)
     plant: dict[str, Any] = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
     task = make_task(**plant)

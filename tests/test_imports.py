@@ -86,8 +86,9 @@ def test_a_recorded_agent_brings_its_road_along(folder, by, capsys):
     (folder / "own_wave.py").unlink()
     capsys.readouterr()
     assert main(["evaluate", "--agent", "agent"]) == 2
-    expected = "roadgym evaluate: cannot load the agent in 'agent': cannot import 'own_wave': No module named 'own_wave'\n"
-    assert capsys.readouterr().err == expected
+    expected = "roadgym evaluate: cannot load the agent in 'agent': cannot import 'own_wave': No module named 'own_wave'"
+    remedy = "its module must lie in the working folder or on PYTHONPATH"
+    assert capsys.readouterr().err == f"{expected}; {remedy}\n"
 
 
 def test_a_road_whose_module_says_nothing_of_it_is_told_as_unknown(folder):

@@ -186,6 +186,9 @@ def test_lists_of_names_are_lists_of_names(folder, value):
             agents.train("agent", environment=PLANT, hyperparameters=TINY, **{name: value})
     with pytest.raises(ParameterError, match="wrappers must be a list of strings, got "):
         agents.train("agent", environment=PLANT, hyperparameters=TINY | {"wrappers": value})
+    with pytest.raises(ParameterError, match="wrappers must be a list of strings, got "):
+        agents.tune("study.db", environment=PLANT, hyperparameters=TINY | {"wrappers": value})
+    assert not (folder / "study.db").exists()
     assert not (folder / "agent").exists()
 
 
