@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -15,6 +15,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from roadgym import ENVIRONMENT_ID
 from roadgym.env import QuarterCarEnv, check_options
 from roadgym.installation import needs
+from roadgym.moved import moved
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
@@ -26,6 +27,9 @@ from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learni
 with needs("train"):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
+
+if not TYPE_CHECKING:
+    __getattr__ = moved(__name__, action_space="agents.actions")
 
 
 def _described(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
