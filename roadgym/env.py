@@ -12,12 +12,15 @@ import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
 from . import ENVIRONMENT_ID
+from .moved import moved
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Plant
 from .task import Task, TaskParameters, make_task
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from .rendering import History, Picture, Window
+else:
+    __getattr__ = moved(__name__, MEAN_SQUARES="roadgym.cars")
 
 RESET_OPTIONS = ("speed", "bandwidth")
 

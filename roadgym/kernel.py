@@ -18,7 +18,7 @@ threads. Per-lane integers are rows of ``counters`` like the rows of a block.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from .compiled import (
     like,
     pointer,
 )
+from .moved import moved
 from .noise import INTERVAL, START, WARM_UP, philox, uniform
 from .record import (
     COUNTERS,
@@ -54,6 +55,17 @@ from .record import (
     STEP,
 )
 from .signals import add_squares, clip, copy_row, new_work, observe_block, report_block, row_of
+
+if not TYPE_CHECKING:
+    __getattr__ = moved(
+        __name__,
+        DISABLED="roadgym.record",
+        LaneFunction="roadgym.compiled",
+        SIGNALS="roadgym.moved",
+        free_decay="roadgym.cars.one_mass",
+        inlined="roadgym.compiled",
+        interval_weights="roadgym.record",
+    )
 
 START_WORDS = 12  # random words of the start of an episode: four each for operating point, road and speed noise
 

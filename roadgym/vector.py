@@ -13,12 +13,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, state_names
+from .moved import moved
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Interval, Plant
 from .task import OPERATING_POINT, TaskParameters, make_task
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from .rendering import History, Picture
+else:
+    __getattr__ = moved(__name__, MEAN_SQUARES="roadgym.cars")
 
 Floats = npt.NDArray[np.float32]
 
