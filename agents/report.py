@@ -20,7 +20,7 @@ from .controllers import CONTROLLERS
 from .evaluation import Predictor
 from .features import has_lookahead
 from .names import CONTROLLERS_SHOWN, title
-from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Share
+from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
 
 TEMPLATE = Path(__file__).with_name("report.html")
 WIDTH = 80  # columns of the table of text
@@ -95,10 +95,11 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
     variates = comparison.configuration.get("control_variates")
     if variates:
         away = [(row.driven_cost - row.theory) / row.driven_standard_error for row in comparison.rows if row.theory is not None]
+        known = "the one cost of constant D is" if len(away) == 1 else f"the {len(away)} costs of constant D are"
         found.append(
             (
                 "less noise",
-                f"{adjusted_by(variates)} As driven, without that adjustment, the {len(away)} costs of constant D are within "
+                f"{adjusted_by(variates)} As driven, without that adjustment, {known} within "
                 f"{max(map(abs, away)):.1f} standard errors of theory.",
             )
         )
@@ -122,7 +123,7 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
         under = [("cost", [with_error(row.cost, row.standard_error) for row in rows])]
         if name == "analytic_optimum":
             if rows[0].theory is not None:
-                under.insert(0, ("theory", [f"{row.theory:.4f}" for row in rows]))
+                under.insert(0, ("theory", [_theory(row) for row in rows]))
             under.insert(0, ("D", [f"{row.damping:.3f}" for row in rows]))
         if name in comparison.agents:
             closed = any(comparison.references)
@@ -174,22 +175,21 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
     total, left = len(gap.points) + len(gap.left_out), len(gap.left_out)
     text = f"{name}: no operating point has a gap to close."
     if gap.closed is not None:
-        over = (
-            f"all {total} operating points" if not left else f"the {len(gap.points)} of {total} operating points that have one"
-        )
+        have = "has" if len(gap.points) == 1 else "have"
+        over = f"the {len(gap.points)} of {total} operating points that {have} one" if left else f"all {total} operating points"
+        over = "at the one operating point" if total == 1 else f"on average over {over}"
         closes = f"closes {percent(gap.closed)} of the gap"
         if gap.closed.value < 0:
             closes = f"closes none of the gap ({percent(gap.closed)})"
         kinds = {name for name in comparison.references if name is not None}
         best = "optimal feedback" if kinds == {"optimal_feedback"} else "best known feedback"
-        text = f"{name} {closes} from the best constant D to the {best}, on average over {over}."
+        text = f"{name} {closes} from the best constant D to the {best}, {over}."
     if gap.loss is not None and gap.largest_loss is not None and gap.largest_at is not None:
         place = f"nu = {comparison.task.frequency_ratio(gap.largest_at.speed):g}"
         place += f", delta = {gap.largest_at.bandwidth:g}" if gap.largest_at.bandwidth else ""
-        text += (
-            f" Where there is none ({left} of {total} points), its cost is {above(gap.loss)} that of the best constant D on "
-            f"average, {above(gap.largest_loss)} at worst ({place})."
-        )
+        where = "Its" if total == 1 else f"Where there is none ({left} of {total} points), its"
+        text += f" {where} cost is {above(gap.loss)} that of the best constant D"
+        text += f" ({place})." if left == 1 else f" on average, {above(gap.largest_loss)} at worst ({place})."
     return text
 
 
@@ -231,8 +231,18 @@ def with_error(value: float, error: float) -> str:
     """``value`` with the standard error of its last digits in brackets: 0.2561(12) is 0.2561 ± 0.0012."""
     if not np.isfinite(error) or error <= 0:
         return f"{value:.4f}"
-    digits = min(max(1 - int(np.floor(np.log10(error))), 0), 6)
+    digits = _decimals(error)
     return f"{value:.{digits}f}({round(error * 10**digits)})"
+
+
+def _decimals(error: float) -> int:
+    """Decimals that show two digits of a standard error."""
+    return min(max(1 - int(np.floor(np.log10(error))), 0), 6) if np.isfinite(error) and error > 0 else 4
+
+
+def _theory(row: Row) -> str:
+    """The exact cost, with no fewer decimals than the cost as driven has; nothing where there is none."""
+    return "" if row.theory is None else f"{row.theory:.{max(4, _decimals(row.standard_error))}f}"
 
 
 def _tables(comparison: Comparison) -> list[dict[str, Any]]:
@@ -241,7 +251,7 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
     closed = any(comparison.references)
     costs = {"cost": [with_error(row.cost, row.standard_error) for row in rows]}
     if any(row.theory is not None for row in rows):
-        costs["theory"] = ["" if row.theory is None else f"{row.theory:.4f}" for row in rows]
+        costs["theory"] = [_theory(row) for row in rows]
     if closed:
         costs["gap closed"] = [percent(row.gap_closed) for row in rows]
     else:

@@ -20,6 +20,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -45,6 +47,14 @@ ROAD_TOLERANCE = 1e-3  # what rounding and tables may move the figures of a road
 CAR_TOLERANCE = 5e-3  # what the car's scheme promises
 SOFT = 0.25  # of the damping: the soft level where D switches
 LAW_CELLS = 8192
+WIDTH = 80  # columns of the table
+SHORTER = {  # names of lines in the table
+    r"^spectral density at ": "PSD, ",
+    r", Kolmogorov-Smirnov distance$": " (KS distance)",
+    r"^law at double against half speed": "law, 2 v against v/2",
+    r"^mean square of the (.*) \(": r"\1, constant (",
+    r" with (?:D )?(alternating|skyhook) \(": r", \1 (",
+}
 FREQUENCIES = (0.5, 1.0, 2.0)  # of the spectral density, over the angular rate of the road, wavenumber * speed
 
 
@@ -99,24 +109,28 @@ class Certificate:
         return all(line.passed for line in self.lines)
 
     def table(self) -> str:
-        """The certificate as text."""
-        head = ("", "measured", "expected", "standard error", "distance", "p-value", "verdict")
-        rows = [head, *(_cells(line) for line in self.lines)]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-        text = [self.plant, self.drive, ""]
+        """The certificate as text of `WIDTH` columns, with shorter names of the lines."""
+        rows = [("", "measured", "expected", "error", "p", ""), *(_cells(line) for line in self.lines)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        room = min(widths[0], WIDTH - sum(2 + width for width in widths[1:]))
+        text = [*_wrapped(self.plant), *_wrapped(self.drive), ""]
         for name, *cells in rows:
+            *above, last = textwrap.wrap(name, room, subsequent_indent="  ") or [""]
             padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-            text.append("  ".join([name.ljust(widths[0]), *padded]))
+            text += [*above, "  ".join([last.ljust(room), *padded]).rstrip()]
         failed = sum(not line.passed for line in self.lines)
         text += [
             "",
             f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
-            "Distances are in standard errors, which come from independent lanes. A line fails where its p-value is below "
-            f"{self.significance:.2g}; a sound plant",
-            f"fails any with a probability of at most {FALSE_ALARM_RATE:g}. p-values allow for a bias of "
-            f"{100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car.",
+            *_wrapped(
+                "error: standard error of measured less expected, from independent lanes. p: p-value, which allows for a bias of "
+                f"{100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car. A line fails where it is below "
+                f"{self.significance:.2g}; a sound plant fails any with a probability of at most {FALSE_ALARM_RATE:g}. PSD: power "
+                "spectral density. KS: Kolmogorov-Smirnov. Mean squares are those of constant D, of D alternating between "
+                "two levels, and of the skyhook rule."
+            ),
         ]
-        return "\n".join([*text, *(f"Left out: {reason}." for reason in self.left_out)])
+        return "\n".join([*text, *(line for reason in self.left_out for line in _wrapped(f"Left out: {reason}."))])
 
     def to_json(self) -> str:
         """The certificate as JSON; null for figures that a line does not have, or that are not finite."""
@@ -409,9 +423,15 @@ def _at(report: Callable[[str, int, int], None], what: str) -> Callable[[int, in
     return lambda done, total: report(what, done, total)
 
 
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+
+
 def _cells(line: Line) -> tuple[str, ...]:
     """A row of the table."""
-    errors = ("exact", "", "")
-    if line.standard_error is not None and line.distance is not None and line.p_value is not None:
-        errors = (f"{line.standard_error:.2g}", f"{line.distance:.2f}", f"{line.p_value:.2g}")
-    return line.name, f"{line.measured:.5g}", f"{line.expected:.5g}", *errors, "pass" if line.passed else "FAIL"
+    name, errors = line.name, ("exact", "")
+    for pattern, shorter in SHORTER.items():
+        name = re.sub(pattern, shorter, name)
+    if line.standard_error is not None and line.p_value is not None:
+        errors = (f"{line.standard_error:.2g}", f"{line.p_value:.2g}")
+    return name, f"{line.measured:.5g}", f"{line.expected:.5g}", *errors, "pass" if line.passed else "FAIL"

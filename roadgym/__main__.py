@@ -12,12 +12,15 @@ def main() -> int:
     try:
         check_package("analysis")
         check_package("agents")
+        from agents.cli import main as run
+
+        return run()
     except InstallationError as error:
         print(f"roadgym: {error}", file=sys.stderr)
         return 2
-    from agents.cli import main as run
-
-    return run()
+    except KeyboardInterrupt:  # before a command has begun, or once it is over: a command says itself what it leaves
+        print("roadgym: interrupted", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

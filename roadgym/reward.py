@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .cars import Car
+from .moved import moved
 from .parameters import ParameterError, non_negative, shown, within
 from .roads import Road
 from .speed import SpeedNoise
+
+if not TYPE_CHECKING:
+    __getattr__ = moved(__name__, MEAN_SQUARES="roadgym.cars")
 
 
 def divergent_terms(car: Car, road: Road, speed_noise: SpeedNoise | None) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +13,15 @@ from gymnasium import spaces
 
 from .cars import Car, make_car
 from .compiled import LaneFunction
+from .moved import moved
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
 from .record import OBSERVED
 from .reward import check_weights, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise
+
+if not TYPE_CHECKING:
+    __getattr__ = moved(__name__, MEAN_SQUARES="roadgym.cars", SIGNALS="roadgym.moved")
 
 SATURATION = 20.0  # standard deviations of the road at which an observed signal saturates
 LARGEST_ANGLE = 0.1  # largest angle, rad, of the car and of the road in a substep
@@ -88,6 +92,11 @@ class Task:
         """
         deviation = math.sqrt(self.road.variance)
         return np.array([1.0 if name in OPERATING_POINT else deviation for name in self.signals])
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """The variance of the road, m^2, and the speed, m/s, at the frequency ratio 1: the units of the kernel."""
+        return self.road.variance, self.car.natural_frequency / self.road.wavenumber
 
     def frequency_ratio(self, speed: Any) -> Any:
         """nu = speed * wavenumber / natural_frequency."""

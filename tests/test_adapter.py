@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import RescaleAction, TransformReward
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecVideoRecorder
 
 import roadgym
 from agents import wrappers
@@ -130,6 +130,11 @@ def test_what_is_no_batch_of_ours_is_refused(make, message):
         QuarterCarVecEnv.from_functions([make])
 
 
+def test_no_environments_make_no_batch():
+    with pytest.raises(ParameterError, match="functions must be at least one"):
+        QuarterCarVecEnv.from_functions([])
+
+
 def test_environments_that_differ_make_no_batch():
     functions = [lambda v=v: wrappers.learning(gymnasium.make(roadgym.ENVIRONMENT_ID, speed=v)) for v in (1.0, 1.0, 2.0)]
     with pytest.raises(ParameterError, match=r"environments must be alike, got .* as number 2"):
@@ -158,6 +163,34 @@ def test_infos_are_plain_dictionaries_of_plain_numbers():
     for info in envs.step(np.zeros((3, 1), np.float32))[3]:
         assert type(info) is dict
         assert json.loads(json.dumps(info)) == info
+
+
+def test_infos_of_a_reset_are_those_of_the_environment():
+    envs = QuarterCarVecEnv(2, environment=ENVIRONMENT)
+    envs.seed(3)
+    envs.reset()
+    expected = gymnasium.make_vec(roadgym.ENVIRONMENT_ID, 2, **ENVIRONMENT).reset(seed=3)[1]
+    for i, info in enumerate(envs.reset_infos):
+        assert info == {name: value[i] for name, value in expected.items() if name[0] != "_"}
+        assert info["speed"] > 0
+
+
+def test_films_of_stable_baselines3_show_every_environment(tmp_path):
+    native = recorded(vec_env_cls=QuarterCarVecEnv.from_functions)  # make_vec_env asks for pictures by itself
+    assert native.render_mode == "rgb_array"
+    recorder = VecVideoRecorder(native, str(tmp_path), lambda step: step == 2, video_length=3)
+    recorder.reset()
+    for _ in range(7):
+        recorder.step(np.zeros((3, 1), np.float32))
+    assert [file.suffix for file in tmp_path.iterdir()] == [".mp4"]
+    single = recorded()  # beside each other: after the reset of an episode the same pictures as one by one
+    native.seed(6), single.seed(6)
+    native.reset(), single.reset()
+    for _ in range(3):
+        for envs in (native, single):
+            envs.step(np.zeros((3, 1), np.float32))
+    for picture, expected in zip(native.get_images(), single.get_images(), strict=True):
+        np.testing.assert_array_equal(picture, expected)
 
 
 def test_actions_of_the_adapter_map_onto_the_range():

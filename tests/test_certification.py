@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy import integrate, stats
 from wrong_plants import WRONG, AllByTime, NotANumber, Stratonovich, advance_shifted
 
 import analysis
+import roadgym
 from agents.cli import main
 from analysis.certification import (
     FALSE_ALARM_RATE,
@@ -261,9 +263,21 @@ def test_table_and_json_say_the_same():
     rows = table.splitlines()[4 : 4 + len(certificate.lines)]
     assert len({len(row) for row in rows}) == 1  # aligned
     for row, line in zip(rows, certificate.lines, strict=True):
-        assert row.startswith(line.name)
-        assert row.endswith("pass" if line.passed else "FAIL")
+        name, *cells, verdict = re.split(r"  +", row)
+        assert name.startswith(("variance", "PSD, ", "law", *roadgym.MEAN_SQUARES, "relative velocity"))
+        assert cells == [f"{line.measured:.5g}", f"{line.expected:.5g}", f"{line.standard_error:.2g}", f"{line.p_value:.2g}"]
+        assert verdict == ("pass" if line.passed else "FAIL")
     assert "Left out: mean square of the acceleration (infinite on this plant)." in table
+
+
+def test_table_reads_in_a_terminal_of_80_columns():
+    certificate = sound_certificate("multiplicative")
+    for lines in (certificate.lines, (dataclasses.replace(certificate.lines[0], name="a name " * 20, measured=-1.2345e-105),)):
+        table = dataclasses.replace(certificate, lines=lines, left_out=("a reason " * 20,)).table()
+        assert max(map(len, table.splitlines())) <= 80
+        assert table.count("\n  ") < 20  # most names take one line
+    names = {re.split(r"  +", row)[0] for row in certificate.table().splitlines()}
+    assert {"variance of the level (m^2)", "relative velocity, skyhook (m^2)", "travel, constant (m^2)"} <= names
 
 
 def test_reports_end_where_the_work_ends():

@@ -17,6 +17,7 @@ from agents.cli import main, make_parser
 from agents.controllers import CONTROLLERS
 from agents.names import CONTROLLERS_SHOWN
 from agents.training import silent
+from roadgym.__main__ import main as roadgym_main
 
 HYPERPARAMETERS = """
 roadgym/QuarterCar-v0:
@@ -209,3 +210,12 @@ def test_help_speaks_of_what_the_command_has(command):
 
 def test_every_controller_has_a_name_to_be_shown():
     assert set(CONTROLLERS) | {"agent"} == set(CONTROLLERS_SHOWN)
+
+
+def test_interruption_before_a_command_begins_is_one_line(monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.cli.make_parser", interrupted)
+    assert roadgym_main() == 130
+    assert capsys.readouterr().err == "roadgym: interrupted\n"

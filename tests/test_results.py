@@ -73,6 +73,38 @@ def test_mean_gap_counts_every_point_that_has_one_and_tells_of_the_others():
     assert json.loads(found.to_json())["mean_gap_closed"]["agent"]["closed"]["value"] == gap.closed.value
 
 
+@pytest.mark.parametrize(("points", "gaps"), [(1, 1), (1, 0), (2, 1)])
+def test_what_is_said_of_one_point_is_in_the_singular(points, gaps):
+    best = np.ones((points, 1)) + np.random.default_rng(2).normal(0, 0.01, (points, 64))
+    feedback = np.array([[0.5]] * gaps + [[0.99]] * (points - gaps))
+    rivals = {"analytic_optimum": evaluation(best), "optimal_feedback": evaluation(feedback * best)}
+    rows, references = make_rows(TASK, {"agent": [evaluation(1.1 * best)]}, rivals)
+    gap = mean_gap([evaluation(1.1 * best)], rivals, references)
+    said = mean_gap_closed(Comparison(rows, TASK, {"agent": [None]}, references, {}, {"agent": gap}), "agent")
+    assert {
+        (1, 1): "agent closes none of the gap (-20.0 ±0.0 %) from the best constant D to the optimal feedback, at the one "
+        "operating point.",
+        (
+            1,
+            0,
+        ): "agent: no operating point has a gap to close. Its cost is 10.0 ±0.0 % above that of the best constant D (nu = 1, "
+        "delta = 0.1).",
+        (2, 1): "agent closes none of the gap (-20.0 ±0.0 %) from the best constant D to the optimal feedback, on average over "
+        "the 1 of 2 operating points that has one. Where there is none (1 of 2 points), its cost is 10.0 ±0.0 % above that of "
+        "the best constant D (nu = 2, delta = 0.1).",
+    }[points, gaps] == said
+
+
+def test_theory_has_the_decimals_of_the_cost():
+    costs = 0.00137 + 1e-5 * np.random.default_rng(3).normal(0, 1, (1, 64))
+    rows, references = make_rows(TASK, {}, {"analytic_optimum": evaluation(costs)})
+    rows = tuple(dataclasses.replace(row, theory=0.00136912) for row in rows)
+    configuration = {"control_variates": (0.3,)}
+    text = " ".join(table(Comparison(rows, TASK, {}, references, configuration)).split())
+    assert "0.001369 0.001370(1)" in text.replace("0.001369(1)", "0.001370(1)")
+    assert "the one cost of constant D is within" in text
+
+
 def test_mean_gap_of_several_seeds_holds_the_spread_of_their_means():
     rivals = {"analytic_optimum": evaluation(np.ones((2, 32))), "optimal_feedback": evaluation(np.full((2, 32), 0.2))}
     seeds = [evaluation(np.array([[a], [b]]) + np.zeros(32)) for a, b in ((0.3, 0.5), (0.4, 0.4), (0.6, 0.4))]
