@@ -7,7 +7,7 @@ import inspect
 import logging
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -326,8 +326,7 @@ def train(
     if not resume:
         own = description["hyperparameters"], description["environment"]
         model = make_model(description["algorithm"], *own, description["seed"], _log(path, tensorboard))
-    make_folder(path)
-    with locked(path / LOCK, "training"):
+    with _folder(path), locked(path / LOCK, "training"):
         files.remove_parts(path)
         new: list[str] = []
         if resume:
@@ -351,6 +350,19 @@ def train(
             save(path, model, description)
         description = read_description(path)
     return Agent(model, description, task_of(description))
+
+
+@contextlib.contextmanager
+def _folder(path: Path) -> Iterator[None]:
+    """The folder is there; one that was not, and in which nothing is saved, is gone at the end."""
+    there = path.exists()
+    make_folder(path)
+    try:
+        yield
+    finally:
+        if not there:
+            with contextlib.suppress(OSError):  # it holds an agent
+                path.rmdir()
 
 
 def _homes(task: Task, imports: Sequence[str]) -> list[str]:

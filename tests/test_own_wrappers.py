@@ -177,6 +177,7 @@ def test_what_a_wrapper_does_wrong_in_use_is_one_line(folder, capsys, name, mess
     (line,) = capsys.readouterr().err.splitlines()[-1:]
     separator = ":" if name == "Misspelt" else ""
     assert line == f"roadgym train: wrapper 'own_wraps:{name}'{separator} {message}"
+    assert not (folder / "agent").exists()
 
 
 @pytest.mark.parametrize("value", [3, None, [3], ["own_wraps", None]])
