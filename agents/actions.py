@@ -32,13 +32,14 @@ def damping_from_action(action: npt.NDArray[Any], damping_range: tuple[float, fl
         ParameterError: actions that are not finite, or levels that do not exist.
     """
     low, high = damping_range
-    given = number_array("action", action)
+    sound = type(action) is np.ndarray and action.dtype == np.float32 and np.isfinite(action).all()  # as those of a policy are
+    given = action if sound else number_array("action", action)
     if levels is not None:
         if given.ndim != 1 or not np.all((given >= 0) & (given < levels) & (given == np.floor(given))):
             raise ParameterError(f"action must be integers from 0 to {levels - 1}, shape (n,), got {shown(action)}")
         values = given.astype(np.float32)[:, None] * np.float32(2 / (levels - 1)) - 1
     else:
-        values = np.clip(given, -1e6, 1e6).astype(np.float32)  # it saturates at the range in any case
+        values = np.clip(given, -1e6, 1e6).astype(np.float32, copy=False)  # it saturates at the range in any case
     return np.asarray(low + (values + 1) * (0.5 * (high - low)), np.float32)
 
 

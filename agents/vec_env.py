@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -59,11 +60,23 @@ def _described(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     return {**found, "environment": environment}
 
 
+@functools.cache
+def _dictionaries(names: tuple[str, ...]) -> Callable[[Iterable[Any]], list[dict[str, Any]]]:
+    """A function that makes a dictionary with these keys of each row.
+
+    Written out, which takes half the time of ``dict(zip(names, row))``: a batch makes one for each environment in every step.
+    """
+    places = [f"v{k}" for k in range(len(names))]
+    entries = ", ".join(f"{name!r}: {place}" for name, place in zip(names, places, strict=True))
+    written = f"lambda rows: [{{{entries}}} for {', '.join(places)}, in rows]"
+    made: Callable[[Iterable[Any]], list[dict[str, Any]]] = eval(written)
+    return made
+
+
 def _each(info: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The infos of a batch as plain dictionaries, one of each environment."""
-    names = [name for name in info if "_" + name in info and name[:6] != "final_"]
-    rows = zip(*(info[name].tolist() for name in names), strict=True)
-    return [dict(zip(names, row, strict=True)) for row in rows]
+    names = tuple(name for name in info if "_" + name in info and name[:6] != "final_")
+    return _dictionaries(names)(zip(*[info[name].tolist() for name in names], strict=True))
 
 
 class QuarterCarVecEnv(VecEnv):

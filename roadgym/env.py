@@ -94,10 +94,9 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.observation_space = self.task.observation_space
         self.signal_names = self.task.signals
         self.signal_scale = self.task.signal_scale
-        self.plant = Plant(self.task, 1, threads=1)
+        self.plant = Plant(self.task, 1, threads=1, units=self.task.units)
         self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
-        self._names, self._variance = self.task.car.mean_squares, self.task.road.variance
-        self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
+        self._names = self.task.car.mean_squares
         self.history: History | None = None
         self._picture: Picture | None = None
         self._window: Window | None = None
@@ -123,8 +122,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
             self.history = History(self.plant)
             if self.render_mode == "human":
                 self.render()
-        _, _, ratio, bandwidth, *_ = began.only()
-        info = {**dict.fromkeys(self._names, 0.0), "damping": 0.0, "speed": ratio * self._metres_per_second}
+        _, _, speed, bandwidth, *_ = began.only()
+        info = {**dict.fromkeys(self._names, 0.0), "damping": 0.0, "speed": speed}
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
         return began.observations[0], info
@@ -141,13 +140,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         if not math.isfinite(actions.item()):
             raise ParameterError(f"action must be one finite number, shape (1,), got {shown(action)}")
         interval = self.plant.step(actions) if self.history is None else self.history.step(actions)
-        reward, damping, ratio, bandwidth, *squares = interval.only()
-        info: dict[str, Any] = {}
-        variance = self._variance
-        for name, square in zip(self._names, squares):  # noqa: B905  (to be strict takes a twentieth of the step)
-            info[name] = square * variance
+        reward, damping, speed, bandwidth, *squares = interval.only()
+        info: dict[str, Any] = dict(zip(self._names, squares))  # noqa: B905  (to be strict takes a fiftieth of the step)
         info["damping"] = damping
-        info["speed"] = ratio * self._metres_per_second
+        info["speed"] = speed
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
         if self.render_mode == "human":

@@ -244,7 +244,7 @@ def step_blocks(
                 due[i] = counts[PENDING + i] != 0
                 if due[i]:
                     over[i] = False
-                    results[REWARD, first + i] = 0.0
+                    results[REWARD, first + i], results[RESULT_DAMPING, first + i] = 0.0, 0.0
                     for row in range(SQUARES, results.shape[0]):
                         results[row, first + i] = 0.0
         elif mode == SAME_STEP and ended:
@@ -256,6 +256,9 @@ def step_blocks(
             for i in range(count):
                 # a new episode has no action yet: its first observation is that of the softest damper, as after `reset`
                 work[DAMPING + i] = low if due[i] else clip(like(state, asked[i]), low, high)
+                if pending and due[i]:
+                    results[RESULT_SPEED, first + i] = lanes[SPEED + i] * plant.speed_unit
+                    results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
             if unsound < 0:
                 unsound = unsound_state(plant, lanes, count, first)
         if mode == NEXT_STEP and ended:
@@ -301,9 +304,9 @@ def reset_blocks(
         for i in range(LANES):
             work[DAMPING + i] = plant.damping_low
         observe_block(plant, lanes, work, observations, first, count)
-        copy_row(work, DAMPING, results, RESULT_DAMPING, first, count)
-        copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
-        copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+        copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
+        copy_row(lanes, SPEED, results, RESULT_SPEED, first, count, plant.speed_unit)
+        copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count, 1.0)
         if unsound < 0:
             unsound = unsound_state(plant, lanes, count, first)
     return unsound
@@ -334,7 +337,7 @@ def drive_roads(begin: int, end: int, record: Any, state: Any, counters: Any, le
                 call(plant.road_advance, lanes.ctypes.data, words.ctypes.data, plant.road_table)
                 for i in range(LANES):
                     counts[STEP + i] += np.uint32(1)
-            wrong = copy_row(lanes, LEVEL, levels, k, first, count) | copy_row(lanes, SLOPE, slopes, k, first, count)
+            wrong = copy_row(lanes, LEVEL, levels, k, first, count, 1.0) | copy_row(lanes, SLOPE, slopes, k, first, count, 1.0)
             if wrong and unsound < 0:
                 unsound = unsound_state(plant, lanes, count, first)
     return unsound

@@ -134,7 +134,7 @@ class Interval:
 
     @property
     def mean_squares(self) -> Floats:
-        """Of the interval, over the variance of the road, shape (squares, num_envs), in the order of the car's."""
+        """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
         return self._results[SQUARES:]
 
     @property
@@ -144,8 +144,8 @@ class Interval:
         return row
 
     @property
-    def frequency_ratio(self) -> Floats:
-        """Of the mean speed, shape (num_envs,)."""
+    def speed(self) -> Floats:
+        """The mean speed, in the plant's unit, shape (num_envs,)."""
         row: Floats = self._results[RESULT_SPEED]
         return row
 
@@ -156,7 +156,7 @@ class Interval:
         return row
 
     def only(self) -> list[float]:
-        """Reward, damping, frequency ratio, bandwidth and mean squares of the first environment, in this order, as numbers."""
+        """Reward, damping, speed, bandwidth and mean squares of the first environment, in this order, as numbers."""
         return self._results[:, 0].tolist()  # type: ignore[no-any-return]
 
 
@@ -169,6 +169,8 @@ class Plant:
         max_episode_steps: control intervals in an episode; 0 for no limit.
         autoreset: a key of `AUTORESET`.
         threads: number of threads; results do not depend on it. By default one a processor, where the batch is large enough.
+        units: what mean squares and speeds are told in: by default the kernel's, the road's variance and the frequency ratio 1;
+            with those in m^2 and in m/s, the results are too.
     """
 
     def __init__(
@@ -179,6 +181,7 @@ class Plant:
         max_episode_steps: int = 0,
         autoreset: str = "disabled",
         threads: int | None = None,
+        units: tuple[float, float] = (1.0, 1.0),
     ) -> None:
         self.task = task
         self.num_envs = num_envs
@@ -191,7 +194,7 @@ class Plant:
         self._block_size = self._car + car.rows * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
-        self._max_episode_steps = max_episode_steps
+        self._max_episode_steps, self._units = max_episode_steps, units
         self._autoreset = AUTORESET[autoreset]
         self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.weights), num_envs)
         self.started = False
@@ -265,6 +268,8 @@ class Plant:
             "substep": self._substep,
             "warm_up_damping": task.warm_up_damping,
             "saturation": SATURATION,
+            "square_unit": self._units[0],
+            "speed_unit": self._units[1],
         }
         speeds = tuple(task.frequency_ratio(speed) for speed in task.speed)
         for name, ends in (("damping", task.damping_range), ("speed", speeds), ("bandwidth", task.bandwidth)):

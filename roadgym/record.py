@@ -30,6 +30,7 @@ PLANT = np.dtype(
         ("autoreset", np.int64),
         *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),
         *((name, np.float64) for name in ("bandwidth_low", "bandwidth_high", "warm_up_damping", "saturation")),
+        *((name, np.float64) for name in ("square_unit", "speed_unit")),  # in which results are told
     ]
 )
 OBSERVED = ("level", "slope", "speed", "bandwidth")  # what is observed beside the signals of the car

@@ -151,14 +151,14 @@ def observe_block(plant: Any, lanes: Any, work: Any, observations: Any, first: i
 
 
 @compiled
-def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count: int) -> Any:
-    """Copy a row of a block into a row of the results; tells whether a number in it is not finite."""
+def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count: int, unit: float) -> Any:
+    """Copy a row of a block, times a unit, into a row of the results; tells whether a number in it is not finite."""
     target = results[row, first : first + count]
     values = source[offset : offset + count]
     unsound = np.int32(0)
     for i in range(count):
         value = values[i]
-        target[i] = value
+        target[i] = np.float64(value) * unit
         unsound |= np.int32(value - value != 0)
     return unsound
 
@@ -174,14 +174,14 @@ def report_block(plant: Any, lanes: Any, work: Any, results: Any, first: int, co
     fresh, unsound = True, np.int32(0)
     for k in range(plant.signals):
         square, weight = square_row(plant, k), like(lanes, -weights[k])
-        unsound |= copy_row(work, square, results, SQUARES + k, first, count)
+        unsound |= copy_row(work, square, results, SQUARES + k, first, count, plant.square_unit)
         if weight != 0:
             add_row(row_of(work, cost), row_of(work, square), weight, fresh)
             fresh = False
-    unsound |= copy_row(work, cost, results, REWARD, first, count)
-    copy_row(work, DAMPING, results, RESULT_DAMPING, first, count)
-    copy_row(lanes, SPEED, results, RESULT_SPEED, first, count)
-    copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count)
+    unsound |= copy_row(work, cost, results, REWARD, first, count, 1.0)
+    copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
+    copy_row(lanes, SPEED, results, RESULT_SPEED, first, count, plant.speed_unit)
+    copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count, 1.0)
     found = -1
     if unsound:
         for i in range(first, first + count):

@@ -93,6 +93,11 @@ class Task:
         deviation = math.sqrt(self.road.variance)
         return np.array([1.0 if name in OPERATING_POINT else deviation for name in self.signals])
 
+    @property
+    def units(self) -> tuple[float, float]:
+        """The variance of the road, m^2, and the speed, m/s, at the frequency ratio 1: the units of the kernel."""
+        return self.road.variance, self.car.natural_frequency / self.road.wavenumber
+
     def frequency_ratio(self, speed: Any) -> Any:
         """nu = speed * wavenumber / natural_frequency."""
         return speed * self.road.wavenumber / self.car.natural_frequency

@@ -91,11 +91,10 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             max_episode_steps=limit,
             autoreset=mode.name.lower(),
             threads=None if threads is None else whole("threads", threads, of="threads"),
+            units=self.task.units,
         )
-        self._same_step, self._next_step = mode is AutoresetMode.SAME_STEP, mode is AutoresetMode.NEXT_STEP
-        self._metres_per_second = self.task.car.natural_frequency / self.task.road.wavenumber
+        self._same_step = mode is AutoresetMode.SAME_STEP
         self._all = np.ones(self.num_envs, np.bool_)
-        self._over = ~self._all  # whose episode ended in the last step
         self.histories: list[History] = []  # of each environment, for pictures, where there is a render_mode
         self._picture: Picture | None = None
 
@@ -104,11 +103,9 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
 
     def _info(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
-        squares = interval.mean_squares  # this interval is nobody else's
-        squares *= self.task.road.variance
-        info: dict[str, Any] = dict(zip(self.task.car.mean_squares, squares, strict=True))
+        info: dict[str, Any] = dict(zip(self.task.car.mean_squares, interval.mean_squares, strict=True))
         info["damping"] = interval.damping
-        info["speed"] = interval.frequency_ratio * self._metres_per_second
+        info["speed"] = interval.speed
         if self.task.bandwidth[1] > 0:
             info["bandwidth"] = interval.bandwidth
         return info | {"_" + name: mask for name in info}
@@ -177,7 +174,6 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         began = self.plant.reset(forced, mask)
         info = self._info(began, mask.copy())
         info["damping"][:] = 0.0  # no interval has been driven
-        self._over = self._over & ~mask
         self._begin_histories(mask)
         return began.observations, info
 
@@ -201,7 +197,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     def _trace(self, damping: Floats) -> Interval:
         """`Plant.step`, remembered for pictures."""
         interval, angle, level = self.plant.trace(damping)
-        begun = interval.truncated if self._same_step else self._over
+        begun = self.plant.elapsed_steps == 0
         for i in np.flatnonzero(~begun):
             self.histories[i].note(interval, angle, level)
         self._begin_histories(begun)
@@ -230,14 +226,6 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
         interval = self.plant.step(damping.reshape(-1)) if self.render_mode is None else self._trace(damping.reshape(-1))
         truncated, info = interval.truncated, self._info(interval, self._all.copy())
-        if self._next_step:
-            if self._over.any():  # they have only begun an episode, on a road of its own
-                state = self.state()[self._over]
-                info["damping"][self._over] = 0.0
-                info["speed"][self._over] = state[:, -2] * self._metres_per_second
-                if "bandwidth" in info:
-                    info["bandwidth"][self._over] = state[:, -1]
-            self._over = truncated
         if self._same_step and truncated.any():
             final_info = {name: value.copy() if name[0] == "_" else value for name, value in info.items()}
             info["final_info"], info["_final_info"] = final_info, truncated.copy()
