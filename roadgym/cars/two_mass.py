@@ -54,6 +54,10 @@ def motion_of(mass_ratio: float, stiffness_ratio: float) -> Motion:
 class TwoMassCar(LinearCar):
     """A body on a spring and a damper, on a wheel that bounces on its tyre.
 
+    Its signals are, in metres, velocities over w1 and accelerations over w1^2: displacement, velocity and acceleration of the
+    body, wheel_displacement and wheel_velocity, travel z_s - z_u with its rate relative_velocity, tyre_deflection z_u - z, and
+    wheel_load, the dynamic load of the tyre over spring_rate.
+
     The default is that of T. Butsuen, The Design of Semi-Active Suspensions for Automotive Vehicles, MIT, 1989.
 
     Args:
