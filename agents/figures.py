@@ -75,9 +75,12 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
             path = folder / f"schedule{suffix}.png"
             pictures.append(Picture(path, draw_schedule(name, agents, comparison, path)))
         elif seen and shows_policy(comparison.task):
-            path = draw_policy(agent, comparison, folder / f"policy{suffix}.png")
-            caption = f"The damping that {name} chooses over the states that it meets, at three speeds."
-            pictures.append(Picture(path, caption))
+            met = states_met(agent, comparison)
+            path, narrow = folder / f"policy{suffix}.png", folder / f"policy{suffix}_narrow.png"
+            caption = f"The damping that {name} chooses over the states that it meets, at {SPEEDS_IN_WORDS[len(met) - 1]}."
+            draw_policy(met, comparison, path)
+            draw_policy(met, comparison, narrow, narrow=True)
+            pictures.append(Picture(path, caption, narrow))
     if len(comparison.task.weights_by_name) > 1:
         path = folder / "pareto.png"
         pictures.append(Picture(path, draw_pareto(comparison, path, report)))
@@ -86,6 +89,9 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
 
 # signals across and up in the two rows of `draw_policy`
 AXES = (("velocity", "relative_velocity"), ("displacement", "travel"))
+SPEEDS_IN_WORDS = ("one speed", "two speeds", "three speeds")
+# for each speed, signals by name and the damping that was chosen there, all of shape (states,)
+Met = dict[float, tuple[dict[str, npt.NDArray[np.float32]], npt.NDArray[np.float32]]]
 
 
 def shows_policy(task: Task) -> bool:
@@ -148,7 +154,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
     for axis in axes[-1:] if narrow else axes:
         axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
     for axis in axes if narrow else axes[:1]:
-        axis.set_ylabel("cost over $E\\,Z^2$" if narrow else "cost: weighted mean square over $E\\,Z^2$")
+        axis.set_ylabel("cost: weighted mean square\nover $E\\,Z^2$")
     figure.legend(  # beside the panels, so that it covers nothing
         *axes[0].get_legend_handles_labels(),
         loc="outside lower center",
@@ -161,26 +167,16 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
     return path
 
 
-def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
-    """The damping that the agent chooses over the states that it meets, at three speeds.
-
-    Upper row: over the velocities of the body and of the suspension, where skyhook switches on the axes. Lower row: over the
-    displacement and the travel.
-    """
+def states_met(agent: Predictor, comparison: Comparison) -> Met:
+    """The states that the agent meets, at three speeds of the comparison or fewer."""
     task = comparison.task
     bandwidth = comparison.points[0].bandwidth
     speeds = sorted({point.speed for point in comparison.points})
-    shown = [speeds[0], speeds[len(speeds) // 2], speeds[-1]] if len(speeds) > 3 else speeds
-    figure = Figure(figsize=(3.5 * len(shown) + 1.0, 6.8), layout="constrained")
-    axes = figure.subplots(2, len(shown), squeeze=False)
-    low, high = task.damping_range
-    mesh: Any = None
-    known = task.car.motion.signals
     number, steps_shown, skipped = 512, 150, 100
     observed = dict.fromkeys((*task.signals, *observed_by(agent, task), *itertools.chain(*AXES)))
     environment = {**comparison.configuration["environment"], "observation": list(observed)}
-    position = {name: i for i, name in enumerate(observed)}
-    for column, speed in enumerate(shown):
+    met: Met = {}
+    for speed in [speeds[0], speeds[len(speeds) // 2], speeds[-1]] if len(speeds) > 3 else speeds:
         envs = QuarterCarVectorEnv(number, max_episode_steps=None, **environment)
         options = {"speed": speed} | ({"bandwidth": bandwidth} if bandwidth else {})
         steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], Purpose.PICTURE), options)
@@ -189,8 +185,33 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
             seen.append(observations)
             chosen.append(damping[:, 0])
         states = np.concatenate(seen)
-        values = np.concatenate(chosen)
-        signal = {name: states[:, i] for name, i in position.items()}
+        met[speed] = {name: states[:, i] for i, name in enumerate(observed)}, np.concatenate(chosen)
+    return met
+
+
+def draw_policy(met: Met, comparison: Comparison, path: Path, *, narrow: bool = False) -> Path:
+    """The damping that an agent chooses over the states that it meets, at each speed of `states_met`.
+
+    Upper row: over the velocities of the body and of the suspension, where skyhook switches on the axes. Lower row: over the
+    displacement and the travel. For a ``narrow`` screen the rows are columns, one speed under the other.
+    """
+    task = comparison.task
+    bandwidth = comparison.points[0].bandwidth
+    size = (4.2, 2.3 * len(met) + 0.8) if narrow else (3.5 * len(met) + 1.0, 6.8)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(*((len(met), 2) if narrow else (2, len(met))), squeeze=False)
+    axes = grid.T if narrow else grid  # a row for each of `AXES`, a column for each speed
+    symbols = {name: signal.symbol for name, signal in task.car.motion.signals.items()}
+    labels = {
+        "velocity": f"body velocity {symbols['velocity']}/(ω₁σ)",
+        "relative_velocity": f"relative velocity {symbols['relative_velocity']}/(ω₁σ)",
+        "displacement": f"displacement {symbols['displacement']}/σ",
+        "travel": f"travel {symbols['travel']}/σ",
+    }
+    font: dict[str, Any] = {"fontsize": 8} if narrow else {}
+    low, high = task.damping_range
+    mesh: Any = None
+    for column, (speed, (signal, values)) in enumerate(met.items()):
         for row, (across, up) in enumerate(AXES):
             axis, x, y = axes[row, column], signal[across], signal[up]
             width, height = (np.quantile(np.abs(v), 0.995) for v in (x, y))
@@ -209,14 +230,16 @@ def draw_policy(agent: Predictor, comparison: Comparison, path: Path) -> Path:
             axis.set_ylim(-height, height)
             axis.axhline(0, color="white", linewidth=0.8)
             axis.axvline(0, color="white", linewidth=0.8)
-        axes[0, column].set_title(
-            f"$\\nu = {task.frequency_ratio(speed):g}$" + (f", $\\delta = {bandwidth:g}$" if bandwidth else "")
-        )
-        axes[0, column].set_xlabel(f"body velocity {known['velocity'].symbol}/(ω₁σ)")
-        axes[1, column].set_xlabel(f"displacement {known['displacement'].symbol}/σ")
-    axes[0, 0].set_ylabel(f"relative velocity {known['relative_velocity'].symbol}/(ω₁σ)")
-    axes[1, 0].set_ylabel(f"travel {known['travel'].symbol}/σ")
-    figure.colorbar(mesh, ax=axes, label="mean damping ratio $D$ that the agent chooses", shrink=0.8)
+            axis.tick_params(labelsize=font.get("fontsize"))
+            axis.set_xlabel(labels[across], **font)
+            if narrow or column == 0:
+                axis.set_ylabel(labels[up], **font)
+            if narrow or row == 0:
+                point = f"$\\nu = {task.frequency_ratio(speed):g}$" + (f", $\\delta = {bandwidth:g}$" if bandwidth else "")
+                axis.set_title(point, **({"fontsize": 9} if narrow else {}))
+    bar = figure.colorbar(mesh, ax=grid, shrink=0.8, location="bottom" if narrow else "right")
+    bar.set_label("mean damping ratio $D$ that the agent chooses", **font)
+    bar.ax.tick_params(labelsize=font.get("fontsize"))
     save_figure(figure, path)
     return path
 

@@ -123,11 +123,11 @@ class Certificate:
             "",
             f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
             *_wrapped(
-                "error: standard error of measured less expected, from independent lanes. p: p-value, which allows for a bias of "
-                f"{100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car. A line fails where it is below "
-                f"{self.significance:.2g}; a sound plant fails any with a probability of at most {FALSE_ALARM_RATE:g}. PSD: power "
-                "spectral density. KS: Kolmogorov-Smirnov. Mean squares are those of constant D, of D alternating between "
-                "two levels, and of the skyhook rule."
+                "error: standard error of measured less expected, from independent lanes. p: p-value, which allows for a bias "
+                f"of {100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car. A line fails where it is "
+                f"below {self.significance:.2g}; a sound plant fails any with a probability of at most {FALSE_ALARM_RATE:g}. "
+                "PSD: power spectral density. KS: Kolmogorov-Smirnov. Mean squares are those of constant D, of D alternating "
+                "between two levels, and of the skyhook rule."
             ),
         ]
         return "\n".join([*text, *(line for reason in self.left_out for line in _wrapped(f"Left out: {reason}."))])

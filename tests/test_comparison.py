@@ -165,7 +165,7 @@ def test_comparison_is_written_as_one_page_with_files_beside(comparison, tmp_pat
         assert picture[..., :3].std() > 0.05  # not blank
     page = (tmp_path / "out" / "comparison.html").read_text()
     assert not re.search(r"(src|href)=\"(?!data:)", page)  # it asks the network for nothing
-    assert page.count("data:image/png;base64,") == len(pictures) == 3  # the first one for narrow screens too
+    assert page.count("data:image/png;base64,") == len(pictures) == 4  # each for narrow screens too
     cells = [cell.strip() for cell in re.findall(r'<td class="number">(.*?)</td>', page)]
     for row in comparison.rows:
         assert with_error(row.cost, row.standard_error) in cells
@@ -202,7 +202,8 @@ def test_odd_names_are_shown_in_every_file(tmp_path):
         episodes=16,
     )
     files = write(found, tmp_path)
-    assert len({file.name.casefold() for file in files}) == len(files) == 6 + len(ODD_NAMES)
+    pictures = 2 * len(ODD_NAMES)  # a policy of each, for phones too
+    assert len({file.name.casefold() for file in files}) == len(files) == 6 + pictures
     assert all(file.parent == tmp_path and file.stat().st_size for file in files)
     cells = [row["controller"] for row in csv.DictReader(io.StringIO(found.to_csv()))]
     assert cells == [ODD_NAMES[0], f"'{ODD_NAMES[1]}", ODD_NAMES[2], "analytic_optimum"]
@@ -275,7 +276,7 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys, monkeypatch):
     assert re.search(r"1\.5 +0\.1 ", first)
     assert "agent: learned from the cost, without theory's one-step lookahead" in " ".join(first.split())
     written = ["comparison.html", "comparison.json", "comparison.csv", "comparison.txt", "cost_over_speed.png"]
-    written += ["cost_over_speed_narrow.png", "policy.png"]
+    written += ["cost_over_speed_narrow.png", "policy.png", "policy_narrow.png"]
     assert {*written, "agent-0"} == {path.name for path in output.iterdir()}
     # the table is there even where the files cannot be written
     with monkeypatch.context() as patch:

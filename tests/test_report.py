@@ -97,6 +97,22 @@ def test_legends_cover_no_marks(comparison, tmp_path, monkeypatch):
     assert drawn[1].get_figwidth() < drawn[1].get_figheight()
 
 
+def test_pictures_for_a_phone_are_narrow_and_say_the_same(comparison, tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path: drawn.update({path.stem: figure}))
+    cost, policy = figures.draw_figures(comparison, tmp_path)[:2]
+    for picture in (cost, policy):
+        wide, narrow = drawn[picture.path.stem], drawn[picture.narrow.stem]
+        assert narrow.get_figwidth() <= 4.2 < wide.get_figwidth()  # a phone shows it in about 390 pixels
+        said, expected = (
+            {words for axis in figure.axes for words in (axis.get_xlabel(), axis.get_ylabel(), axis.get_title())}
+            for figure in (narrow, wide)
+        )
+        assert said == expected
+    panels = drawn[policy.narrow.stem].axes[:-1]
+    assert len({axis.get_subplotspec().colspan.start for axis in panels}) == 2
+
+
 def test_table_reads_in_a_terminal_of_80_columns():
     agents = {name: [make_controller("skyhook", TASK)] for name in ("runs/a", "x" * 40)}
     found = compare(
