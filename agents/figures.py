@@ -179,7 +179,7 @@ def states_met(agent: Predictor, comparison: Comparison) -> Met:
     for speed in [speeds[0], speeds[len(speeds) // 2], speeds[-1]] if len(speeds) > 3 else speeds:
         envs = QuarterCarVectorEnv(number, max_episode_steps=None, **environment)
         options = {"speed": speed} | ({"bandwidth": bandwidth} if bandwidth else {})
-        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], Purpose.PICTURE), options)
+        steps = drive(agent, envs, stream_seed(comparison.configuration["seed"], Purpose.PICTURE), options, task)
         seen, chosen = [], []
         for observations, damping, _, _ in itertools.islice(steps, skipped, skipped + steps_shown):
             seen.append(observations)
