@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, cast, overload
+from typing import TYPE_CHECKING, Any, cast, overload
 
 import gymnasium
 import numpy as np
@@ -43,7 +43,10 @@ from .records import texts
 
 Environment = gymnasium.Env[Any, Any]
 Batch = VectorEnv[Any, Any, Any]
-ActionLayer = VectorActionWrapper[Any, Any, Any, Any]
+if TYPE_CHECKING:  # Gymnasium 1.1's cannot be subscripted
+    ActionLayer = VectorActionWrapper[Any, Any, Any, Any]
+else:
+    ActionLayer = VectorActionWrapper
 
 
 def task_of(env: Environment | Batch) -> Task:
