@@ -45,8 +45,9 @@ Environment = gymnasium.Env[Any, Any]
 Batch = VectorEnv[Any, Any, Any]
 if TYPE_CHECKING:  # Gymnasium 1.1's cannot be subscripted
     ActionLayer = VectorActionWrapper[Any, Any, Any, Any]
+    Layer = VectorWrapper[Any, Any, Any, Any, Any]
 else:
-    ActionLayer = VectorActionWrapper
+    ActionLayer, Layer = VectorActionWrapper, VectorWrapper
 
 
 def task_of(env: Environment | Batch) -> Task:
@@ -224,7 +225,7 @@ def blamed(name: str) -> Iterator[None]:
         raise ParameterError(f"wrapper {name!r}: {type(error).__name__}: {text}") from error
 
 
-class _Checked(VectorWrapper[Any, Any, Any, Any, Any]):
+class _Checked(Layer):
     """Around somebody else's wrapper: what it returns is a step of a batch."""
 
     def __init__(self, env: Batch, name: str) -> None:
@@ -333,7 +334,7 @@ class AdvantageReward(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         self._saved.look(plant.state()[None])
 
 
-class _VectorWrapper(VectorWrapper[Any, Any, Any, Any, Any]):
+class _VectorWrapper(Layer):
     """A wrapper that knows which environments begin an episode; its autoreset mode is an attribute, as TorchRL reads it."""
 
     def __init__(self, env: Batch) -> None:

@@ -138,7 +138,7 @@ def test_the_command_line_takes_wrappers_and_compares(folder, capsys):
     [
         (
             "own_wraps:NormalizeObservation",
-            "wrapper 'own_wraps:NormalizeObservation': ValueError: Expected autoreset_",
+            "wrapper 'own_wraps:NormalizeObservation': (ValueError: Expected autoreset_|AssertionError)",
         ),
         (
             "own_wraps:Doubled",
