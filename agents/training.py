@@ -114,6 +114,12 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
 LARGEST_SEED = 2**32 - 1  # of torch and NumPy, which stable-baselines3 seeds
 
 
+def check_seed(seed: int) -> None:
+    """Raise `ParameterError` unless a training can have this seed."""
+    if whole("seed", seed, low=0) > LARGEST_SEED:
+        raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
+
+
 def _schedule(name: str, value: Any) -> Any:
     """A linear schedule from "lin_<start>", or the value itself."""
     if isinstance(value, str) and value.startswith("lin_"):
@@ -278,8 +284,7 @@ def train(
         AgentError: the folder cannot be written, is in use by another training, holds an agent already, or none to resume.
         InstallationError: a package that it needs is not installed.
     """
-    if whole("seed", 0 if seed is None else seed, low=0) > LARGEST_SEED:
-        raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
+    check_seed(0 if seed is None else seed)
     whole("checkpoint_interval", checkpoint_interval)
     path = Path(folder)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
@@ -320,7 +325,7 @@ def train(
     if tensorboard:
         require("tensorboard", "train")
     total = total_timesteps(description["algorithm"], description["hyperparameters"], timesteps)
-    if timesteps is not None and total != timesteps:
+    if timesteps is not None and total != timesteps and total > description.get("timesteps", 0):
         of = rollout(description["algorithm"], description["hyperparameters"])
         logging.getLogger("roadgym").warning("%d timesteps are no whole rollouts of %d: training for %d", timesteps, of, total)
     if not resume:

@@ -223,3 +223,10 @@ def test_interruption_before_a_command_begins_is_one_line(monkeypatch, capsys):
         code = None
     assert code == 130
     assert capsys.readouterr().err == "roadgym: interrupted\n"
+
+
+def test_a_seed_beyond_the_largest_is_told_before_the_first_training(capsys, tmp_path):
+    arguments = ["compare", "--seed", str(2**32 - 1), "--seeds", "2", "--output", str(tmp_path / "results")]
+    assert main(arguments) == 2
+    assert "seed must be at most 4294967295 for a training, got 4294967296" in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()

@@ -2,10 +2,10 @@
 
 import html
 import re
-import shutil
 import subprocess
 
 import pytest
+from explorer_page import BROWSER, needs_browser
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from agents import figures
@@ -17,8 +17,6 @@ from roadgym.task import make_task
 ENVIRONMENT = {"road": "multiplicative", "speed": (0.7, 3.0), "bandwidth": (0.1, 0.3)}
 TASK = make_task(**ENVIRONMENT)
 WINDOWS = (1400, 1000, 390)
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +52,7 @@ def widths(page, browser, tmp_path):
     return [int(width) for width in re.search(r"<body>([\d,]+)", said)[1].split(",")]
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome")
+@needs_browser
 def test_page_fits_into_windows_of_any_width(comparison, tmp_path):
     write(comparison, tmp_path)
     assert all(

@@ -201,6 +201,10 @@ def run_compare(chosen: argparse.Namespace) -> None:
     _check_evaluation(chosen, environment)
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
+    if seeds:
+        from ..training import check_seed
+
+        check_seed(seeds[-1])
     folder = make_folder(_results_folder(chosen, kinds))
     steps = len(seeds) + 2
     with locked(folder / LOCK, "comparison"):
