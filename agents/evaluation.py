@@ -57,8 +57,8 @@ class Evaluation:
     Attributes:
         points: the operating points.
         costs: mean cost (minus the reward) of each episode as driven, shape (points, episodes).
-        squares: mean squares of each episode over E Z^2 as driven, in the order of `roadgym.cars.Car.mean_squares`,
-            shape (squares, points, episodes).
+        squares: mean squares of each episode as driven, as told over the task's `cost_unit`: over E Z^2, or SI; in the order of
+            `roadgym.cars.Car.mean_squares`, shape (squares, points, episodes).
         switches: crossings of the middle of the damping range a second, shape (points,).
         adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
         control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
@@ -251,7 +251,7 @@ def evaluate(
                 report(f"driving {turn} of {len(constants) + len(controllers)}: {title(name)}", step + 1, skipped + measured)
         return (
             (total / measured).reshape(shape),
-            (squares / (measured * task.road.variance)).reshape(-1, *shape),
+            (squares / (measured * task.cost_unit)).reshape(-1, *shape),
             switches.reshape(shape).mean(axis=1) / (measured * task.control_interval),
         )
 
@@ -264,7 +264,7 @@ def evaluate(
         costs, squares, switches = driven(name, controller)
         adjusted_costs, adjusted_squares = costs.copy(), squares.copy()
         for k, expected in enumerate(theory):
-            for n, weight in enumerate(task.weights):
+            for n, weight in enumerate(task.reward):
                 if np.isfinite(expected[n]).all():
                     adjusted_squares[n, k] = adjust(squares[n, k], controls[:, n, k], expected[n])
                     adjusted_costs[k] += weight * (adjusted_squares[n, k] - squares[n, k])

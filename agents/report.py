@@ -48,7 +48,7 @@ def above(share: Share) -> str:
 
 def weighted(task: Task) -> str:
     """The cost in words."""
-    return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.weights_by_name.items())
+    return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.reward_by_name.items())
 
 
 def notes(comparison: Comparison) -> list[tuple[str, str]]:
@@ -324,7 +324,7 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     costs, squares = _tables(comparison)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         cost=weighted(task),
-        displacement_alone=list(task.weights_by_name.items()) == [("displacement", 1.0)],
+        displacement_alone=list(task.reward_by_name.items()) == [("displacement", 1.0)],
         means=[mean_gap_closed(comparison, name) for name in comparison.mean_gaps],
         controllers=_controllers(comparison),
         points=len(comparison.points),

@@ -263,7 +263,8 @@ def _compared(
         for (term, square), found in zip(theory.items(), own.mean_squares, strict=True):
             name, figure = f"mean square of the {term.replace('_', ' ')}", float(square)
             if math.isfinite(figure):
-                lines.append(_moment(f"{name} (m^2)", found, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
+                name = f"{name} ({_square(car, term)})"
+                lines.append(_moment(name, found, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
             else:
                 left_out.append(f"{name} (infinite on this plant)")
     except ParameterError as error:
@@ -360,7 +361,7 @@ def _switching_lines(
         measured, expected = drive_way(None if report is None else _at(report, f"with {way}"))
         for term, found, figures in zip(switching.names, measured, expected, strict=True):
             figure = float(np.mean(figures))
-            name = f"{term.replace('_', ' ')} with {way} (m^2)"
+            name = f"{term.replace('_', ' ')} with {way} ({_square(car, term)})"
             # lane by lane, what theory expects takes most of the noise out
             lines.append(_moment(name, found - figures + figure, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
     return lines
@@ -407,6 +408,12 @@ def _largest_difference(name: str, test: Any, lanes: float) -> Line:
         p_value=float(test.pvalue),
         passed=False,
     )
+
+
+def _square(car: Car, name: str) -> str:
+    """The unit of a signal's mean square."""
+    unit = car.motion.signals[name].unit.replace("²", "^2")
+    return f"({unit})^2" if "/" in unit else f"{unit}^2"
 
 
 def _words(component: Road | SpeedNoise | Car) -> str:

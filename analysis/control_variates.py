@@ -83,7 +83,7 @@ def _least_damping(car: Car, decay: float, low: float, high: float) -> float:
 
 
 def expected_squares(task: Task, dampings: tuple[float, ...], speed: float, bandwidth: float = 0.0) -> FloatArray:
-    """Exact mean squares over E Z^2 at constant dampings, shape (squares, dampings), in the order of the car's.
+    """Exact mean squares, as told over the task's `cost_unit`, at constant dampings, shape (squares, dampings).
 
     Args:
         task: the plant.
@@ -98,7 +98,7 @@ def expected_squares(task: Task, dampings: tuple[float, ...], speed: float, band
         car=task.car,
         bandwidth=bandwidth or None,
     )
-    return np.array(list(found.values())) / task.road.variance
+    return np.array(list(found.values())) / task.cost_unit
 
 
 def adjust(samples: FloatArray, controls: FloatArray, means: FloatArray) -> FloatArray:

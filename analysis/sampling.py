@@ -38,7 +38,7 @@ class Samples:
         level: Z at the end of the record, m, shape (lanes,).
         largest_square: largest Z^2 + U^2 of all lanes at all times of the record, m^2.
         periodogram: interval |sum of window Z e^(-i w t)|^2 / sum of window^2, m^2 s, shape (frequencies, lanes).
-        mean_squares: those of the car, m^2, shape (squares, lanes); infinite where they diverge.
+        mean_squares: those of the car, as told, shape (squares, lanes); infinite where they diverge.
         window: weights of the periodogram, Hann's, shape (times,).
         interval: time between two samples of the record, s.
     """
@@ -127,7 +127,7 @@ def drive(
         level=math.sqrt(road.variance) * z,
         largest_square=road.variance * largest_square,
         periodogram=road.variance * interval * np.abs(transform) ** 2 / np.sum(window**2),
-        mean_squares=road.variance * mean_squares / measured,
+        mean_squares=task.square_units[:, None] * mean_squares / measured,
         window=window,
         interval=interval,
     )
@@ -153,32 +153,33 @@ class Switching:
         bandwidth = self._task.bandwidth[0]
         self._soft, self._firm = (plant_system(self._task, float(level), self._ratio, bandwidth) for level in self._levels)
         self.names = [name for name in car.mean_squares if name not in self._soft.rough]
+        self._rows = np.array([car.mean_squares.index(name) for name in self.names])
+        self._units = self._task.square_units[self._rows, None]
         self._plant = Plant(self._task, lanes)
         self._plant.start(lane_seeds(np.random.SeedSequence(seed), lanes))
 
     def _drive(self, firm: Callable[[int], Any], report: Callable[[int, int], None] | None) -> FloatArray:
-        """Mean squares of each lane, m^2, shape (names, lanes); steps before the record have negative numbers."""
+        """Mean squares of each lane, as told, shape (names, lanes); steps before the record have negative numbers."""
         skipped = math.ceil(SETTLED / (min(map(self._task.car.decay, self._levels.tolist())) * self._interval))
         measured = self._measured()
-        rows = np.array([self._task.car.mean_squares.index(name) for name in self.names])
         totals = np.zeros((len(self.names), self._plant.num_envs))
         for step in range(-skipped, measured):
             actions = np.broadcast_to(np.where(firm(step), self._levels[1], self._levels[0]), self._plant.num_envs)
             driven = self._plant.step(np.ascontiguousarray(actions))
             if step >= 0:
-                totals += driven.mean_squares[rows]
+                totals += driven.mean_squares[self._rows]
             if report and (step % REPORTS == 0 or step == measured - 1):
                 report(skipped + step + 1, skipped + measured)
-        return np.asarray(self._task.road.variance * totals / measured)
+        return np.asarray(self._units * totals / measured)
 
     def _measured(self) -> int:
         return math.ceil(RECORD_ANGLE / min(self._ratio, 1.0) / self._interval)
 
     def alternate(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
-        """(measured, expected) mean squares with D firm and soft in turn, m^2, shapes (names, lanes) and (names,)."""
+        """(measured, expected) mean squares with D firm and soft in turn, as told, shapes (names, lanes) and (names,)."""
         expected = periodic_mean_squares([self._firm, self._soft], self._interval)
         measured = self._drive(lambda step: step % 2 == 0, report)
-        return measured, self._task.road.variance * np.array([float(expected[name]) for name in self.names])
+        return measured, self._units[:, 0] * np.array([float(expected[name]) for name in self.names])
 
     @property
     def knows_state(self) -> bool:
@@ -187,7 +188,7 @@ class Switching:
         return known and self._soft.flatness is not None and self._task.road.state_rows is not None
 
     def skyhook(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
-        """(measured, expected) mean squares with D firm where it brakes the body, m^2, shape (names, lanes) each.
+        """(measured, expected) mean squares with D firm where it brakes the body, as told, shape (names, lanes) each.
 
         Whatever sets D, the mean of a square over an interval has a known mean, given the state at its beginning: a quadratic
         form. What is expected of a lane is the average of that over the states in which its D was set.
@@ -210,4 +211,4 @@ class Switching:
             return braking
 
         measured = self._drive(firm, report)
-        return measured, self._task.road.variance * expected / self._measured()
+        return measured, self._units * expected / self._measured()
