@@ -161,14 +161,15 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         for k, point in enumerate(result.points)
     ]
     if chosen.json:
-        print(json.dumps({"controller": name, "control_variates": result.control_variates, "rows": rows}, indent=2))
+        variates = {"control_variates": result.control_variates, "balances": result.balances}
+        print(json.dumps({"controller": name, **variates, "rows": rows}, indent=2))
         return
     print("speed m/s  bandwidth            cost  switches 1/s")
     for row in rows:
         cost = with_error(row["cost"], row["standard_error"])
         print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
     if result.control_variates:
-        print(adjusted_by(result.control_variates))
+        print(adjusted_by(result.control_variates, result.balances))
 
 
 def run_compare(chosen: argparse.Namespace) -> None:
