@@ -110,8 +110,13 @@ def make_parser() -> argparse.ArgumentParser:
     drive.add_argument(
         "--output", type=nonempty, metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window"
     )
+    drive.add_argument("--seconds", type=float, metavar="S", help="of film (10; a window until it is closed)")
     drive.add_argument(
-        "--seconds", type=float, metavar="S", help="of film, each of 60 control intervals (10; a window until it is closed)"
+        "--pace",
+        type=float,
+        default=1.0,
+        metavar="P",
+        help="0.3 for slow motion: seconds of the drive in one of the film, where control intervals allow it (%(default)s)",
     )
     drive.add_argument("--speed", type=float, metavar="V", help="speed, m/s (drawn from the environment's range)")
     drive.add_argument("--bandwidth", type=float, metavar="DELTA", help="road bandwidth (drawn from the environment's range)")
