@@ -58,7 +58,8 @@ class Evaluation:
         points: the operating points.
         costs: mean cost (minus the reward) of each episode as driven, shape (points, episodes).
         squares: mean squares of each episode as driven, as told over the task's `cost_unit`: over E Z^2, or SI; in the order of
-            `roadgym.cars.Car.mean_squares`, shape (squares, points, episodes).
+            ``names``, shape (squares, points, episodes).
+        names: of the mean squares: those of `roadgym.cars.Car.mean_squares`, and of two masses weighted_acceleration too.
         switches: crossings of the middle of the damping range a second, shape (points,).
         adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
         control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
@@ -67,6 +68,7 @@ class Evaluation:
     points: tuple[OperatingPoint, ...]
     costs: npt.NDArray[np.float64]
     squares: npt.NDArray[np.float64]
+    names: tuple[str, ...]
     switches: npt.NDArray[np.float64]
     adjusted_costs: npt.NDArray[np.float64]
     adjusted_squares: npt.NDArray[np.float64]
@@ -211,6 +213,8 @@ def evaluate(
         ParameterError: a parameter out of range, or too few or too short episodes for a standard error.
     """
     task = make_task(**environment)
+    environment = {**environment, "car": task.car.with_signals(task.car.evaluated), "natural_frequency": None}
+    task = make_task(**environment)
     points = make_points(task, speeds, bandwidths)
     if whole("episodes", episodes) < FEWEST_EPISODES:
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
@@ -268,5 +272,5 @@ def evaluate(
                 if np.isfinite(expected[n]).all():
                     adjusted_squares[n, k] = adjust(squares[n, k], controls[:, n, k], expected[n])
                     adjusted_costs[k] += weight * (adjusted_squares[n, k] - squares[n, k])
-        result[name] = Evaluation(points, costs, squares, switches, adjusted_costs, adjusted_squares, constants)
+        result[name] = Evaluation(points, costs, squares, names, switches, adjusted_costs, adjusted_squares, constants)
     return result

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from roadgym.cars import MEAN_SQUARES, Car, make_car
 from roadgym.parameters import ParameterError, positive_range, shown, whole, within
-from roadgym.reward import check_weights
+from roadgym.reward import asked_signals, check_weights
 from roadgym.roads import Road, make_road
 from roadgym.task import Task, make_task
 
@@ -43,7 +43,7 @@ def check_road(road: Road) -> None:
 def check_car(car: Car) -> None:
     """Raises `ParameterError` for a car for which `optimal_feedback` is not there."""
     if not (car.motion.is_one_mass and set(STATE[:2]) <= set(car.mean_squares)):
-        raise ParameterError(f"car must be of one mass, got {car!r}")
+        raise ParameterError(f"car must be of one mass, without a weighting, got {car!r}")
 
 
 def optimal_feedback(
@@ -93,7 +93,7 @@ def optimal_feedback(
     check_road(road)
     if bandwidth is not None:
         road = road.with_bandwidth(within("bandwidth", bandwidth))
-    the_car = make_car(car, natural_frequency)
+    the_car = make_car(car, natural_frequency).with_signals(asked_signals(weights))
     check_car(the_car)
     check_weights(weights, the_car, road, None)
     low, high = positive_range("bounds", bounds, "damping")
