@@ -55,7 +55,7 @@ def identities(road: ShapingFilter, car: Motion, ratio: float) -> list[Identity]
 
     Args:
         road: the road, at one operating point.
-        car: the car.
+        car: the car, without filters of its signals, which do not act on it.
         ratio: nu = speed * wavenumber/w1.
     """
     system = LinearSystem.of(road, car, damping=0.0, ratio=ratio)
@@ -140,9 +140,9 @@ def _identity(
 
 
 def watched(car: Car, signals: Mapping[str, FloatArray]) -> Car:
-    """The same car with more signals, by their factors of its states and of `roadgym.linear.INPUTS`, shape (n + 3,) each."""
+    """The same car with more signals, by factors of its own states and of `roadgym.linear.INPUTS`, shape (n + 3,) each."""
     own = car.motion
-    names = (*own.states, *INPUTS)
+    names = (*own.own.states, *INPUTS)
     more = {
         name: Signal({term: float(factor) for term, factor in zip(names, row, strict=True) if factor}, name)
         for name, row in signals.items()
