@@ -33,7 +33,8 @@ class Car(abc.ABC):
 
     They may square the first ``squared`` of the signals themselves, which is faster: then ``prepare`` sets the rows
     ``work[WORK + k * LANES + i]`` to the squares now times ``work[SHARE]``, and ``advance`` adds to them. All other signals are
-    squared for them. After these rows follow ``working_rows`` more for their own use within an interval.
+    squared for them. After these rows follow ``working_rows`` more for their own use within an interval. Signals behind filters
+    (`roadgym.filters`) are made for them too.
     """
 
     if TYPE_CHECKING:
