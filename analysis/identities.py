@@ -19,9 +19,10 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from roadgym.cars import Car
 from roadgym.linear import INPUTS, LinearSystem, Motion, ShapingFilter, Signal
@@ -35,12 +36,14 @@ NEGLIGIBLE = 1e-9  # share of the largest
 class Identity:
     """What has a known mean under every policy: a sum of mean squares of signals, less that power of the damper.
 
+    On a road whose rate contains white noise it holds at every frequency ratio nu, on others at the one that was asked for.
+
     Attributes:
         name: of the two forms whose product is stationary, or "power".
         rows: signals by their factors of the car's states and of `roadgym.linear.INPUTS`, shape (k, n + 3).
-        signs: of their mean squares, shape (k,).
+        signs: factors of their mean squares, a constant and one of nu, shape (2, k).
         power: whether the mean of F_D times the relative velocity is subtracted.
-        mean: the known mean, in units of the road's variance and of times in 1/w1.
+        mean: the known mean over nu, in units of the road's variance and of times in 1/w1.
     """
 
     name: str
@@ -48,6 +51,20 @@ class Identity:
     signs: FloatArray
     power: bool
     mean: float
+
+    def left(self, squares: FloatArray, power: FloatArray, ratio: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """What is left of measured figures, which is zero on average, and the sum of all terms, in the shape of ``power``.
+
+        Args:
+            squares: mean squares of the signals ``rows``, shape (k, ...).
+            power: mean of F_D times the relative velocity, shape (...).
+            ratio: nu, any shape that broadcasts with it.
+        """
+        nu = np.asarray(ratio, float)
+        factors = self.signs.T.reshape(-1, 2, *[1] * np.ndim(power))
+        terms = (factors[:, 0] + nu * factors[:, 1]) * squares
+        lost = power if self.power else np.zeros_like(power)
+        return terms.sum(axis=0) - lost - nu * self.mean, np.abs(terms).sum(axis=0) + lost + abs(nu * self.mean)
 
 
 def identities(road: ShapingFilter, car: Motion, ratio: float) -> list[Identity]:
@@ -58,7 +75,7 @@ def identities(road: ShapingFilter, car: Motion, ratio: float) -> list[Identity]
         car: the car, without filters of its signals, which do not act on it.
         ratio: nu = speed * wavenumber/w1.
     """
-    system = LinearSystem.of(road, car, damping=0.0, ratio=ratio)
+    system, at_rest = (LinearSystem.of(road, car, damping=0.0, ratio=nu) for nu in (ratio, 0.0))
     cars = len(car.states)
     # the kernel knows the states of the car, the level and, where that is a number, its rate
     seen = np.zeros((cars + 1, len(system.states)))
@@ -70,15 +87,33 @@ def identities(road: ShapingFilter, car: Motion, ratio: float) -> list[Identity]
     back: FloatArray = np.linalg.pinv(seen).astype(float)
     damped = LinearSystem.of(road, car, damping=0.3, ratio=ratio)
     scale = np.sqrt(np.diag(damped.covariance()))
+
+    def identity(name: str, form: FloatArray, *, power: bool = False) -> Identity:
+        """That of a form M: squares of signals for x' B x, and - tr(M N N')."""
+        resting, moving = (
+            back.T @ (form @ drift + drift.T @ form) @ back for drift in (at_rest.drift, (system.drift - at_rest.drift) / ratio)
+        )
+        rows, signs = [], []
+        for rate, column in ((resting, 0), (moving, 1)):
+            values, vectors = np.linalg.eigh(rate)
+            kept = np.abs(values) > NEGLIGIBLE * max(float(np.abs(rate).max()), float(np.abs(form).max()))
+            own = np.zeros((int(kept.sum()), cars + len(INPUTS)))
+            own[:, : len(rate)] = (vectors * np.sqrt(np.abs(values))).T[kept]
+            sign = np.zeros((2, len(own)))
+            sign[column] = np.sign(values[kept])
+            rows.append(own)
+            signs.append(sign)
+        mean = -float(np.sum(form * (system.noise @ system.noise.T))) / ratio
+        return Identity(name=name, rows=np.concatenate(rows), signs=np.concatenate(signs, axis=1), power=power, mean=mean)
+
     found = []
+    if car.relative not in system.rough:
+        found.append(identity("power", _energy(system, car, scale), power=True))
     forms = _untouched(system, car, scale)
-    intensity = system.noise @ system.noise.T
     for (one, a), (other, b) in itertools.combinations_with_replacement(forms.items(), 2):
         form = (np.outer(a, b) + np.outer(b, a)) / 2
         name = f"{one}^2" if one == other else f"{one} × {other}"
-        found.append(_identity(name, form, system, intensity, back, cars))
-    if car.relative not in system.rough:
-        found.append(_identity("power", _energy(system, car, scale), system, intensity, back, cars, power=True))
+        found.append(identity(name, form))
     return found
 
 
@@ -119,24 +154,9 @@ def _energy(system: LinearSystem, car: Motion, scale: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("k,kij->ij", chosen, basis))
 
 
-def _identity(
-    name: str,
-    form: FloatArray,
-    system: LinearSystem,
-    intensity: FloatArray,
-    back: FloatArray,
-    cars: int,
-    *,
-    power: bool = False,
-) -> Identity:
-    """The identity of a form M: squares of signals for x' B x, and - tr(M N N')."""
-    rate = back.T @ (form @ system.drift + system.drift.T @ form) @ back
-    values, vectors = np.linalg.eigh(rate)
-    kept = np.abs(values) > NEGLIGIBLE * max(float(np.abs(values).max()), float(np.abs(form).max()))
-    rows = np.zeros((int(kept.sum()), cars + len(INPUTS)))
-    rows[:, : len(rate)] = (vectors * np.sqrt(np.abs(values))).T[kept]
-    mean = -float(np.sum(form * intensity))
-    return Identity(name=name, rows=rows, signs=np.sign(values[kept]), power=power, mean=mean)
+def rows_of(found: Sequence[Identity]) -> dict[str, FloatArray]:
+    """The signals of identities by a name of their own, for `watched`; in order."""
+    return {f"{n}.{k}": row for n, each in enumerate(found) for k, row in enumerate(each.rows)}
 
 
 def watched(car: Car, signals: Mapping[str, FloatArray]) -> Car:

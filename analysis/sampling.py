@@ -21,7 +21,7 @@ from roadgym.task import LARGEST_ANGLE, Task, make_task
 
 from .checks import FloatArray, check_size
 from .driven import lane_seeds
-from .identities import identities, watched
+from .identities import identities, rows_of, watched
 from .phase_noise import slowest_decay
 from .quadratic import interval_mean, periodic_mean_squares, plant_system
 
@@ -197,7 +197,7 @@ class Switching:
         road_filter = road.shaping_filter(bandwidth or None)
         assert road_filter is not None
         self.identities = identities(road_filter, car.motion.own, self._ratio)
-        more = {f"{n}.{k}": row for n, each in enumerate(self.identities) for k, row in enumerate(each.rows)}
+        more = rows_of(self.identities)
         self._task = make_task(
             road=road,
             speed=speed,
@@ -236,15 +236,11 @@ class Switching:
             if report and (step % REPORTS == 0 or step == measured - 1):
                 report(skipped + step + 1, skipped + measured)
         squares, power = totals / measured, power / measured
-        left, terms = [], []
-        rows = iter(squares[self._watched])
-        for identity in self.identities:
-            own = np.array([next(rows) for _ in identity.signs]).reshape(len(identity.signs), -1)
-            lost = power if identity.power else np.zeros_like(power)
-            left.append(identity.signs @ own - lost - identity.mean)
-            terms.append(own.sum(axis=0) + lost + abs(identity.mean))
-        shape = (len(left), self._plant.num_envs)
-        rates = np.reshape(left, shape), np.reshape(terms, shape)
+        edges = np.cumsum([len(identity.rows) for identity in self.identities])
+        parts = np.split(squares[self._watched], edges[:-1]) if len(edges) else []
+        found = [each.left(part, power, self._ratio) for each, part in zip(self.identities, parts, strict=True)]
+        shape = (len(found), self._plant.num_envs)
+        rates = np.reshape([left for left, _ in found], shape), np.reshape([terms for _, terms in found], shape)
         return Driven(mean_squares=self._units * squares[self._rows], expected=None, rates=rates, power=power)
 
     @property

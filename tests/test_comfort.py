@@ -241,7 +241,7 @@ def test_the_scheme_is_exact_on_white_velocity_at_the_default_substep(car, dampi
     plant.start(np.zeros(LANES, np.uint64))
     for place, name in enumerate((*states, COEFFICIENT, COEFFICIENT + LANES)):  # a lane for each
         plant.set_row(name, np.arange(LANES) == place)
-    plant.step(np.full(LANES, damping, np.float32))
+    driven = plant.step(np.full(LANES, damping, np.float32))
     moved = plant.car_states[:, : len(states) + 2]
     moved[:, len(states)] -= motion.follows  # heights above the road
     transition, climb, excess = moved[:, : len(states)], moved[:, -2], moved[:, -1]
@@ -254,6 +254,8 @@ def test_the_scheme_is_exact_on_white_velocity_at_the_default_substep(car, dampi
         unit = car.unit_factors[list(motion.signals).index(name)]
         rough = motion.filters[name].source in motion.rough
         told = unit**2 * strength * (row @ found @ row)
+        squares = driven.mean_squares[list(motion.signals).index(name), : len(states) + 2]
+        np.testing.assert_allclose(squares, (np.append(row, [0, 0]) ** 2 + (row @ moved) ** 2) / 2, rtol=1e-9)
         assert told == pytest.approx(float(exact[name]), rel=5e-4 if rough else 2e-5), name
 
 

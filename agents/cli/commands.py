@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from roadgym import ParameterError
 from roadgym.installation import require
 
@@ -19,11 +21,19 @@ from .options import environment_from, given_environment, refuse, refuse_environ
 DESCRIPTION = "agent.json"
 
 
-def _grid(chosen: argparse.Namespace) -> dict[str, Any]:
-    """The operating points that are chosen."""
-    from ..comparison import BANDWIDTHS, SPEEDS
+def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, Any]:
+    """The operating points that are chosen, or those of the paper where the environment has them, or others of its range."""
+    from roadgym.task import make_task
 
-    return {"speeds": chosen.speeds or SPEEDS, "bandwidths": chosen.bandwidths or BANDWIDTHS}
+    from ..comparison import BANDWIDTHS, SPEEDS, observed_in_full
+
+    def within(values: tuple[float, ...], low: float, high: float, number: int) -> tuple[float, ...]:
+        inside = all(low <= value <= high for value in values)
+        return values if inside else tuple(dict.fromkeys(np.linspace(low, high, number).tolist()))
+
+    task = make_task(**observed_in_full(environment))
+    speeds, bandwidths = within(SPEEDS, *task.speed, 3), within(BANDWIDTHS, *task.bandwidth, 2)
+    return {"speeds": chosen.speeds or speeds, "bandwidths": chosen.bandwidths or bandwidths}
 
 
 def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
@@ -35,7 +45,7 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     from ..controllers import make_controller
     from ..evaluation import FEWEST_EPISODES, make_points
 
-    points = _grid(chosen)
+    points = _grid(chosen, environment)
     task = make_task(**observed_in_full(environment))
     if task.bandwidth[1] == 0:
         refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
@@ -146,7 +156,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             report=report,
-            **_grid(chosen),
+            **_grid(chosen, environment),
         )[name]
     rows = [
         {
@@ -161,14 +171,15 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         for k, point in enumerate(result.points)
     ]
     if chosen.json:
-        print(json.dumps({"controller": name, "control_variates": result.control_variates, "rows": rows}, indent=2))
+        variates = {"control_variates": result.control_variates, "balances": result.balances}
+        print(json.dumps({"controller": name, **variates, "rows": rows}, indent=2))
         return
     print("speed m/s  bandwidth            cost  switches 1/s")
     for row in rows:
         cost = with_error(row["cost"], row["standard_error"])
         print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
     if result.control_variates:
-        print(adjusted_by(result.control_variates))
+        print(adjusted_by(result.control_variates, result.balances))
 
 
 def run_compare(chosen: argparse.Namespace) -> None:
@@ -219,7 +230,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             controllers=chosen.controllers,
-            **_grid(chosen),
+            **_grid(chosen, environment),
         )
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
         _tell(f"step {steps} of {steps}: drawing and writing")

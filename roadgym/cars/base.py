@@ -50,6 +50,7 @@ class Car(abc.ABC):
     default_reward: ClassVar[Mapping[str, float]] = {"displacement": 1.0}
     optional: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # signals that it tells where asked to, and the fields that ask
     evaluated: ClassVar[tuple[str, ...]] = ()  # those of them that evaluations tell unasked
+    usual_plant: ClassVar[Mapping[str, Any]] = {}  # parameters of the environment where a command is not given them
     starts_on_road: ClassVar[bool] = False  # does an episode start with its heights at that of the road, or at zero
     squared: ClassVar[int] = 0
     working_rows: ClassVar[int] = 0
