@@ -13,7 +13,7 @@ from roadgym.task import Task, make_task
 
 from .agent import Agent
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller
-from .evaluation import Predictor, evaluate
+from .evaluation import Predictor, evaluate, evaluated_task
 from .names import name_folders, title
 from .progress import work_progress
 from .records import make_folder, plain, versions, write_atomically
@@ -189,6 +189,7 @@ def compare(
         )
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    task = evaluated_task(plant)
     rows, references = make_rows(task, learned, evaluations)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     configuration = {

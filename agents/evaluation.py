@@ -134,6 +134,12 @@ def make_points(task: Task, speeds: Sequence[float], bandwidths: Sequence[float]
     return tuple(OperatingPoint(v, b) for v in chosen["speed"] for b in chosen["bandwidth"])
 
 
+def evaluated_task(environment: Mapping[str, Any]) -> Task:
+    """The task of an environment whose car tells what evaluations want to know too, `roadgym.cars.Car.evaluated`."""
+    car = make_task(**environment).car
+    return make_task(**{**environment, "car": car.with_signals(car.evaluated), "natural_frequency": None})
+
+
 def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
     """The signals that a controller is handed: those that its own task observes, or else those of ``task``."""
     own: Task = getattr(controller, "task", task)
@@ -216,9 +222,8 @@ def evaluate(
     Raises:
         ParameterError: a parameter out of range, or too few or too short episodes for a standard error.
     """
-    task = make_task(**environment)
-    environment = {**environment, "car": task.car.with_signals(task.car.evaluated), "natural_frequency": None}
-    task = make_task(**environment)
+    task = evaluated_task(environment)
+    environment = {**environment, "car": task.car, "natural_frequency": None}
     points = make_points(task, speeds, bandwidths)
     if whole("episodes", episodes) < FEWEST_EPISODES:
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
