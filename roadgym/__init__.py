@@ -18,8 +18,10 @@ from .roads import (
     HarmonicRoad,
     LinearRoad,
     MultiplicativeRoad,
+    Profile,
     Road,
     TwoCornerRoad,
+    read_profile,
     sample_road,
 )
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -41,6 +43,7 @@ __all__ = [
     "MultiplicativeRoad",
     "ParameterError",
     "PlantError",
+    "Profile",
     "QuarterCar",
     "Road",
     "SpeedNoise",
@@ -48,6 +51,7 @@ __all__ = [
     "TwoMassCar",
     "WhiteSpeedNoise",
     "__version__",
+    "read_profile",
     "register",
     "sample_road",
 ]

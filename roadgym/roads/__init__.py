@@ -14,6 +14,7 @@ from .gaussian import GaussianRoad
 from .harmonic import HarmonicRoad
 from .linear import LinearRoad
 from .multiplicative import MultiplicativeRoad
+from .profile_files import Profile, read_profile
 from .two_corner import TwoCornerRoad
 
 __all__ = [
@@ -23,9 +24,11 @@ __all__ = [
     "HarmonicRoad",
     "LinearRoad",
     "MultiplicativeRoad",
+    "Profile",
     "Road",
     "TwoCornerRoad",
     "make_road",
+    "read_profile",
     "sample_road",
 ]
 
