@@ -290,6 +290,8 @@ def level_distribution(road: Road, level: npt.ArrayLike) -> FloatArray:
     Raises:
         ParameterError: a road whose density is not known.
     """
+    if road.periodic is not None:
+        return road.periodic.distribution(np.asarray(level) / math.sqrt(road.variance))
     bound = min(level_bound(road), 12 * math.sqrt(road.variance))
     # with z = bound sin(angle) the densities that are infinite at the bound become smooth; the midpoint rule never meets it
     edges = np.linspace(-math.pi / 2, math.pi / 2, LAW_CELLS + 1)
@@ -345,7 +347,8 @@ def _switching_lines(
         left_out.append(f"{what} ({no_closed_form(road, speed_noise)})")
         return []
     if road.shaping_filter() is None:
-        left_out.append(f"{what} ({no_closed_form(road, None)})")
+        cause = no_closed_form(road, None) if road.periodic is None else f"none is known on a {road.kind} road"
+        left_out.append(f"{what} ({cause})")
         return []
     switching = Switching(road, damping=damping, speed=speed, car=car, lanes=lanes, seed=seed)
     lines = []
@@ -411,9 +414,10 @@ def _largest_difference(name: str, test: Any, lanes: float) -> Line:
 
 def _words(component: Road | SpeedNoise | Car) -> str:
     """Kind and parameters."""
+    values = {field.name: getattr(component, field.name) for field in dataclasses.fields(component) if field.repr}
     parameters = [
         f"{name} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
-        for name, value in dataclasses.asdict(component).items()
+        for name, value in values.items()
         if name != "kind" and value is not None
     ]
     return f"{component.kind} ({', '.join(parameters)})"
