@@ -53,35 +53,36 @@ def line_mean_squares(road: Road, car: Motion, *, damping: FloatArray, ratio: Fl
         block = max(1, BLOCK // len(dampings))
         for first in range(0, len(lines.shares), block):
             part = slice(first, first + block)
-            total += _squares(car, dampings, nu * lines.ratios[part]) @ lines.shares[part]
+            total += _sums(car, dampings, nu * lines.ratios[part], lines.shares[part])
         found[:, here] = total
     return dict(zip(car.signals, found, strict=True))
 
 
-def _squares(car: Motion, damping: FloatArray, frequency: FloatArray) -> FloatArray:
-    """|H|^2 of the signals, shape (signals, dampings, frequencies), at angular frequencies over w1.
+def _sums(car: Motion, damping: FloatArray, frequency: FloatArray, shares: FloatArray) -> FloatArray:
+    """Sums of the shares times |H|^2 of the signals, shape (signals, dampings), over lines at angular frequencies over w1.
 
     The states are taken above the road, as on a slow one they follow it. What the damper of D does more than that of
-    `REFERENCE` is a force F, which moves them by - g F: so one inverse for each frequency serves all D.
+    `REFERENCE` is a force, which moves a signal by - g times itself: so one inverse for each frequency serves all D, with
+    H = a + c r, where r is that of the relative velocity and c = 2 D force - 2 (D - REFERENCE) g.
     """
     size, rows = len(car.states), car.rows
     relative = list(car.signals).index(car.relative)
     iw = 1j * frequency
-    # of the signals: factors of the states above the road, and what is left of level and rate
+    # of the signals: what is left of level and rate beside the states above the road
     direct = (rows[:, :size] @ car.follows + rows[:, size])[:, None] + rows[:, size + 1, None] * iw
     drift = car.drift + 2 * REFERENCE * car.damper
     pushed = (car.drift @ car.follows + car.level_entry)[:, None] + (car.slope_entry - car.follows)[:, None] * iw
     pushed = pushed - 2 * REFERENCE * car.force_entry[:, None] * direct[relative]
     sides = np.stack([pushed.T, np.broadcast_to(car.force_entry + 0j, pushed.T.shape)], axis=-1)
     above, moved = np.moveaxis(np.linalg.solve(iw[:, None, None] * np.eye(size) - drift, sides), -1, 0)
-    signals, forced = rows[:, :size] @ above.T + direct, rows[:, :size] @ moved.T
-    more = 2 * (damping[:, None] - REFERENCE)
-    velocity = signals[relative] / (1 + more * forced[relative])
-    squares = np.empty((len(rows), len(damping), len(frequency)))
-    for row, square in enumerate(squares):
-        motion = signals[row] + (2 * damping[:, None] * rows[row, size + 2] - more * forced[row]) * velocity
-        square[:] = motion.real**2 + motion.imag**2
-    return squares
+    a, g = rows[:, :size] @ above.T + direct, rows[:, :size] @ moved.T
+    more, force = 2 * (damping - REFERENCE), 2 * damping * rows[:, size + 2, None]
+    r = a[relative] / (1 + more[:, None] * g[relative])
+    square = shares * (r.real**2 + r.imag**2)
+    crossed = (shares * a.conj()) @ r.T, (shares * a.conj() * g) @ r.T
+    total: FloatArray = (shares @ (np.abs(a) ** 2).T)[:, None] + 2 * (force * crossed[0].real - more * crossed[1].real)
+    total += force**2 * square.sum(axis=1) - 2 * force * more * (g.real @ square.T) + more**2 * (np.abs(g) ** 2 @ square.T)
+    return total
 
 
 def _beyond(car: Motion, damping: FloatArray, nu: float, rest: tuple[float, ...]) -> FloatArray:
