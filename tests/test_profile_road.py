@@ -81,6 +81,22 @@ def test_a_tenth_of_the_length_is_joined_by_default_and_nothing_where_the_height
     np.testing.assert_allclose(period_of(whole), ROUGH - ROUGH.mean(), atol=1e-15)
 
 
+def test_hills_are_taken_out_and_what_shakes_the_car_stays():
+    distance = 0.25 * np.arange(1600)
+    hills, bumps = 2 * np.sin(2 * np.pi * distance / 400) + np.cos(2 * np.pi * distance / 200), np.resize(ROUGH, 1600)
+    bumps = bumps - bumps.mean()
+    road = ProfileRoad(heights=hills + bumps, spacing=0.25, join=0, longest_wave=100.0)
+    waves = np.abs(np.fft.rfft(period_of(road))), np.abs(np.fft.rfft(bumps))
+    np.testing.assert_allclose(waves[0][:4], 0, atol=1e-10)
+    np.testing.assert_allclose(waves[0][4:], waves[1][4:], atol=1e-10)  # from 100 m on, itself included
+    flat, whole = (
+        analysis.mean_squares(one, damping=0.3, speed=20.0, car=REAL_CAR)
+        for one in (road, dataclasses.replace(road, longest_wave=None))
+    )
+    assert float(flat.displacement) < 0.01 * float(whole.displacement)
+    assert float(flat.acceleration) == pytest.approx(float(whole.acceleration), rel=0.04)
+
+
 def test_moments_law_and_autocovariance_are_those_of_the_straight_lines(road):
     length = road.spacing * len(period_of(road))
     distance = np.linspace(0, length, 2_000_000, endpoint=False)
@@ -352,6 +368,8 @@ def test_a_file_is_a_road_by_its_name(file, monkeypatch):
         (PROFILE | {"heights": [3.0] * 20}, "heights must be such that the variance E Z"),
         (PROFILE | {"spacing": 0}, "spacing must be positive"),
         (PROFILE | {"spacing": 25}, r"spacing must lie within \[0.001, 10\], got 25"),
+        (PROFILE | {"longest_wave": -5}, "longest_wave must be positive, got -5"),
+        (PROFILE | {"longest_wave": 0.1}, "heights must be such that the variance"),
         (PROFILE | {"join": -1}, "join must not be negative"),
         (PROFILE | {"join": 0.3}, "join must be 0, or from the spacing, 0.5 m, to half of the length, 14.75 m, got 0.3"),
         (PROFILE | {"join": 15}, "to half of the length, 14.75 m, got 15"),

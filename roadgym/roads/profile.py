@@ -7,7 +7,8 @@ points a substep passes: the table has the area under the profile up to each of 
 
 What is measured has two ends. Its straight trend (altitude and grade) is taken out, and the last ``join`` metres fade over into
 the first, along a raised cosine: the period is the length less ``join``. With ``join=0`` the heights are a period already,
-the first following the last after one more spacing, and nothing but their mean is taken out. `roadgym.roads.periodic` has what
+the first following the last after one more spacing, and nothing but their mean is taken out. Hills are most of the variance of
+a real road and move no car; waves longer than ``longest_wave`` are taken out of the period. `roadgym.roads.periodic` has what
 theory knows of it.
 
 The heights themselves are parameters, not the file that they come from: so a trained agent drives the road that it learned on,
@@ -28,7 +29,7 @@ import numpy as np
 from ..compiled import COEFFICIENT, LANES, LEVEL, LEVEL_EXCESS, SLOPE, TURN, LaneFunction
 from ..linear import FloatArray
 from ..noise import uniform
-from ..parameters import RANGES, ParameterError, check_ratio, non_negative, number_array, shown
+from ..parameters import RANGES, ParameterError, check_ratio, non_negative, number_array, positive, shown
 from .base import Road, check_fields
 from .periodic import PeriodicLevel, joined
 from .profile_files import read_profile
@@ -81,6 +82,7 @@ class ProfileRoad(Road):
         spacing: distance between two of them, m.
         join: over how many metres the end fades over into the beginning, at most half of the length; by default a tenth of it,
             and 0 where the heights are one period as they are.
+        longest_wave: m; longer ones are taken out. By default they stay.
         wavenumber: Omega, rad/m, the unit of speed: nu = speed * wavenumber/w1 is what is observed of the speed. By default 1,
             with which nu is about 1 where waves of 6 m, of those that shake a car the most, come at its natural frequency.
     """
@@ -89,6 +91,7 @@ class ProfileRoad(Road):
     heights: tuple[float, ...] = dataclasses.field(repr=False)
     spacing: float
     join: float | None = None
+    longest_wave: float | None = None
 
     constructors = {"file": "from_file"}  # noqa: RUF012 - of the class, as its base declares
     words_per_substep = 0
@@ -113,7 +116,9 @@ class ProfileRoad(Road):
                 f"got {shown(self.join)}"
             )
         object.__setattr__(self, "join", join)
-        check_ratio("heights", f"{heights.size} heights", "the variance E Z^2", self.variance, "variance")
+        if self.longest_wave is not None:
+            object.__setattr__(self, "longest_wave", positive("longest_wave", self.longest_wave))
+        check_ratio("heights", repr(self), "the variance E Z^2", self.variance, "variance")
 
     @classmethod
     def from_file(
@@ -123,6 +128,7 @@ class ProfileRoad(Road):
         units: str | Sequence[str] | None = None,
         column: int | None = None,
         join: float | None = None,
+        longest_wave: float | None = None,
         wavenumber: float = 1.0,
     ) -> ProfileRoad:
         """The road of a file, see `roadgym.roads.profile_files`.
@@ -130,17 +136,23 @@ class ProfileRoad(Road):
         Args:
             file: its path.
             units, column: of `roadgym.read_profile`.
-            join, wavenumber: as above.
+            join, longest_wave, wavenumber: as above.
 
         Raises:
             ParameterError: a file that cannot be read as a profile, or a value out of range.
         """
         profile = read_profile(file, units, column=column)
-        return cls(heights=tuple(profile.heights.tolist()), spacing=profile.spacing, join=join, wavenumber=wavenumber)
+        return cls(
+            heights=tuple(profile.heights.tolist()),
+            spacing=profile.spacing,
+            join=join,
+            longest_wave=longest_wave,
+            wavenumber=wavenumber,
+        )
 
     @functools.cached_property
     def _hash(self) -> int:
-        return hash((self.heights, self.spacing, self.join, self.wavenumber))
+        return hash((self.heights, self.spacing, self.join, self.longest_wave, self.wavenumber))
 
     def __hash__(self) -> int:
         """That of the parameters, found once: caches ask again and again."""
@@ -150,7 +162,11 @@ class ProfileRoad(Road):
     def _period(self) -> FloatArray:
         """Heights at the points of the period, of mean zero, m."""
         period = joined(np.array(self.heights), round((self.join or 0.0) / self.spacing))
-        return np.asarray(period - period.mean())
+        waves = np.fft.rfft(period - period.mean())
+        if self.longest_wave is not None:
+            length = self.spacing * len(period)
+            waves[: math.ceil(length / self.longest_wave * (1 - 1e-9))] = 0
+        return np.asarray(np.fft.irfft(waves, len(period)))
 
     @functools.cached_property
     def variance(self) -> float:
