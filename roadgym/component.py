@@ -99,22 +99,19 @@ class Registry(dict[str, type[Component]], Generic[Component]):
             raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join([*self, *self.presets])}{file}")
         component: Any = self[kind]
         own = next((name for name in component.constructors if name in parameters), None)
-        if own is None:
-            allowed = [field.name for field in dataclasses.fields(component) if field.init]
-            known = ", ".join([*allowed, *component.constructors])
-        else:
+        others = [] if own else list(component.constructors)
+        if own is not None:
             component = getattr(component, component.constructors[own])
-            allowed = list(inspect.signature(component).parameters)
-            known = ", ".join(allowed)
+        signature = inspect.signature(component).parameters
+        allowed = list(signature)
         for name in parameters:
             if name not in allowed:
-                beside = "" if own is None else f" beside {own!r}"
+                beside, known = f" beside {own!r}" if own else "", ", ".join([*allowed, *others])
                 raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}{beside}; known: {known}")
-        signature = inspect.signature(component).parameters
-        missing = [name for name, one in signature.items() if one.default is one.empty and name not in parameters]
-        if missing:
-            instead = " or ".join([", ".join(missing), *(() if own else component.constructors)])
-            raise ParameterError(f"{self.what} {kind!r} needs the parameters {instead}")
+        for name in allowed:
+            if signature[name].default is inspect.Parameter.empty and name not in parameters:
+                instead = f"{name} beside {own!r}" if own else " or ".join([name, *others])
+                raise ParameterError(f"{self.what} {kind!r} needs {instead}, got {shown(dict(value))}")
         return component(**parameters)  # type: ignore[no-any-return]
 
     def _file(self, name: str) -> dict[str, Any] | None:

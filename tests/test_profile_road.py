@@ -227,10 +227,12 @@ def test_mean_squares_are_those_of_the_exact_response(road, car, speed):
     dampings = np.array([0.03, 0.3, 1.0, 4.0])
     found = analysis.mean_squares(road, damping=dampings, speed=speed, car=car)
     assert found.standard_error is None
+    units = dict(zip(car.mean_squares, car.unit_factors, strict=True))
     for k, damping in enumerate(dampings.tolist()):
         exact = exact_mean_squares(road, car, damping, speed * road.wavenumber / car.natural_frequency)
         for name, square in exact.items():
-            assert found[name][k] / road.variance == pytest.approx(square, rel=1e-8), (name, damping)
+            unit = road.variance * units[name] ** 2
+            assert found[name][k] / unit == pytest.approx(square, rel=1e-8), (name, damping)
 
 
 def test_mean_squares_of_many_operating_points_are_those_of_each(road):
@@ -274,7 +276,9 @@ def test_the_best_damping_is_where_the_cost_is_least(road):
 def test_constant_damping_costs_in_the_environment_what_theory_says(road, car):
     weights, speed, number = {"acceleration": 1.0, "travel": 0.5}, 1.5 * car.natural_frequency, 2048
     best = analysis.optimal_damping(road, speed=speed, car=car, weights=weights)
-    envs = gym.make_vec("roadgym/QuarterCar-v0", num_envs=number, road=road, speed=speed, reward=weights, car=car)
+    plant = {"road": road, "car": car, "speed": speed, "damping_range": (0.05, 1.0)}
+    interval = 0.2 / car.natural_frequency
+    envs = gym.make_vec("roadgym/QuarterCar-v0", num_envs=number, reward=weights, control_interval=interval, **plant)
     envs.reset(seed=3)
     actions = np.full((number, 1), best.damping, np.float32)
     costs = np.array([-envs.step(actions)[1] for _ in range(500)])[200:].mean(axis=0)
@@ -357,8 +361,9 @@ def test_a_file_is_a_road_by_its_name(file, monkeypatch):
         ("nowhere.csv", "unknown road 'nowhere.csv'; known: .*, profile, iso_a.*, or a file that exists"),
         ("x" * 5000, "unknown road"),
         ("\0", "unknown road"),
-        ("profile", "road 'profile' needs the parameters heights, spacing or file"),
-        ({"kind": "profile", "spacing": 0.25}, "needs the parameters heights or file"),
+        ("profile", "road 'profile' needs heights or file, got"),
+        ({"kind": "profile", "spacing": 0.25}, "needs heights or file"),
+        ({"kind": "profile", "heights": [1, 2]}, "needs spacing or file"),
         ({"kind": "profile", "file": "nowhere.csv"}, "cannot read the profile 'nowhere.csv': No such file"),
         ({"kind": "profile", "file": "road.csv", "spacing": 1.0}, "unknown parameter 'spacing' .* beside 'file'"),
         (PROFILE | {"heights": "high"}, "heights must be a number or an array of numbers, got 'high'"),
