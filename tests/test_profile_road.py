@@ -13,7 +13,7 @@ from scipy import linalg
 import agents
 import analysis
 import roadgym
-from agents.cli import main
+from agents.cli import environment_from, main, make_parser
 from agents.training import train
 from analysis.certification import level_distribution
 from analysis.control_variates import control_dampings
@@ -399,6 +399,13 @@ def test_an_agent_keeps_the_road_that_it_learned_on(file, tmp_path, capsys):
         assert agents.load(trained).task.road == road
     capsys.readouterr()
     assert main(["evaluate", "--agent", str(folder), "--speeds", "1", "--episodes", "16"]) == 0
+
+
+def test_commands_read_a_road_once(file):
+    """Else who calls one again is told that the road has changed: what is written down are the heights."""
+    environment = environment_from(make_parser().parse_args(["train", "--road", str(file), "--output", "agent"]))
+    assert environment["road"] == make_road(str(file))
+    assert "bandwidth" not in environment
 
 
 def test_an_advantage_as_reward_falls_back_to_the_cost(tmp_path):
