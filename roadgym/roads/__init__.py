@@ -14,6 +14,7 @@ from .gaussian import GaussianRoad
 from .harmonic import HarmonicRoad
 from .linear import LinearRoad
 from .multiplicative import MultiplicativeRoad
+from .power_law import PowerLawRoad
 from .two_corner import TwoCornerRoad
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "HarmonicRoad",
     "LinearRoad",
     "MultiplicativeRoad",
+    "PowerLawRoad",
     "Road",
     "TwoCornerRoad",
     "make_road",
@@ -38,6 +40,7 @@ ROADS: Registry[Road] = Registry(
         "gaussian": GaussianRoad,
         "multiplicative": MultiplicativeRoad,
         "two_corner": TwoCornerRoad,
+        "power_law": PowerLawRoad,
     },
     presets={f"iso_{name.lower()}": {"kind": "first_order", "iso_class": name} for name in iso8608.MEANS},
 )
