@@ -74,8 +74,8 @@ def corners(waviness: tuple[float, float], highest: float, broken: float) -> tup
         found = difference(parameters)
         return np.asarray(found - found.mean())
 
-    # A pair falls with n^-4 in place of n^-2 (or not at all) from its pole to its zero, over the share that this takes. There is
-    # one for each half of the band, or for each side of the break.
+    # A pair falls with n^-4 in place of n^-2 (or not at all) from its pole to its zero, over the share that this takes. There
+    # is one for each half of the band, or for each side of the break.
     limits = np.array([[-2.0, width - 2, -2.0, -2.0, -width, -width], [2.0, width + 2, width + 2, width + 2, width, width]])
     fits = []
     for middles in width * np.array([0.25, 0.75]), np.array([math.log(broken) / 2, (math.log(broken) + width) / 2]):

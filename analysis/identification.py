@@ -1,0 +1,270 @@
+"""Identification: which of Wedig's roads (2020) a measured profile comes from, with what parameters, how surely, how well.
+
+*Spectrum.* The first-order road (4) and the second-order one (7), (8) are fitted by Whittle's likelihood with the exact means of
+the ordinates (`analysis.profile_spectrum`): spacing, folding and tapers bias nothing. Standard errors come from the information
+at the estimate. Two of the parameters of the second order are surely known only where the profile holds both its corners.
+
+*Bound.* The bounded road has the spectrum of its linear twin, so its shape alpha follows from the law of the heights,
+p(z) ~ (1 - z^2/r0^2)^(alpha - 1/2), (11): its kurtosis is k = 3 (alpha + 1)/(alpha + 2), whence
+
+    alpha = (2 k - 3)/(3 - k),    r0^2 = 2 (alpha + 1) E Z^2 (12).
+
+Its noise is not Gaussian, and the standard errors of all its parameters are other ones, smaller as a rule: profiles are drawn
+of the road that was found, and the spread of their scores and of their kurtosis makes the errors.
+
+*How well.* Bartlett's test on measured over fitted ordinates, of the spectrum. Of the law, the kurtosis against 3 of a Gaussian
+profile of the same spectrum, whose variance is 24/n^2 times the sum of rho(lag)^4 over all pairs of points (Z. A. Lomnicki,
+"Tests for departure from normality in the case of linear stochastic processes", Metrika 4, 1961).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.parameters import RANGES
+from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad, Road, sample_road
+
+from .autocovariance import autocovariance
+from .checks import FloatArray
+from .profile_spectrum import ProfileSpectrum, WhittleFit, checked_heights, expected_ordinates, fit_whittle, ordinates
+from .profile_spectrum import profile_spectrum as profile_spectrum
+from .roughness import BAND, resolved_band
+
+LEVEL = 0.01  # of the tests by which a road is chosen
+DRAWN = 64  # profiles that are drawn of a bounded road for its standard errors
+SHAPES = (0.05, 1e3)  # of a bounded road that can be told from a sinusoid and from a Gaussian road
+LARGEST_ANGLE = 0.2  # rad, of the road or of its faster motion, between two points that are drawn
+MOST_DRAWN = 2e8  # points
+BANDWIDTHS = (1e-3, 1e3)
+FIRST_BANDWIDTHS = (0.03, 0.2, 1.0, 5.0, 25.0)  # where the search begins
+FIRST_WAVENUMBERS = 9
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class IdentifiedRoad:
+    """A road that was fitted.
+
+    Attributes:
+        road: the road.
+        errors: standard errors of its parameters, by name; infinite where nothing fixes one.
+        log_likelihood: of the spectrum.
+        fit: the fit of the spectrum, whose parameters are logarithms.
+    """
+
+    road: Road
+    errors: Mapping[str, float]
+    log_likelihood: float
+    fit: WhittleFit
+
+    @property
+    def information_criterion(self) -> float:
+        """Akaike's, of the spectrum: the least is best."""
+        return 2 * self.fit.parameters.size - 2 * self.log_likelihood
+
+    def better_than(self, other: IdentifiedRoad) -> bool:
+        """Is the information criterion no greater than that of the other?"""
+        return self.information_criterion <= other.information_criterion
+
+    @property
+    def p_value(self) -> float:
+        """Of Bartlett's test whether the profile has the spectrum of the road; see `WhittleFit.p_value`."""
+        return self.fit.p_value
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Identified:
+    """What `identify` found.
+
+    Attributes:
+        band: frequencies that were fitted, cycles/m.
+        spectrum: the measured spectrum.
+        first_order: `roadgym.FirstOrderRoad`.
+        second_order: `roadgym.GaussianRoad`.
+        bounded: `roadgym.MultiplicativeRoad`; None where the first order is the better one, where the heights are not flatter
+            than Gaussian ones, or flatter than a sinusoid's, and where to draw such roads takes too long.
+        kurtosis: of the heights, less their trend.
+        kurtosis_distance: the kurtosis less 3, in standard errors of a Gaussian profile of second order.
+        largest: greatest height above or below the trend, m.
+    """
+
+    band: tuple[float, float]
+    spectrum: ProfileSpectrum
+    first_order: IdentifiedRoad
+    second_order: IdentifiedRoad
+    bounded: IdentifiedRoad | None
+    kurtosis: float
+    kurtosis_distance: float
+    largest: float
+
+    @property
+    def gaussian_p_value(self) -> float:
+        """Of the test whether the kurtosis is that of a Gaussian profile."""
+        return math.erfc(abs(self.kurtosis_distance) / math.sqrt(2))
+
+    @property
+    def best(self) -> IdentifiedRoad:
+        """The road to drive: of the better order, and bounded where the heights are flatter than Gaussian ones would be."""
+        if self.first_order.better_than(self.second_order):
+            return self.first_order
+        flat = self.kurtosis_distance < 0 and self.gaussian_p_value < LEVEL
+        return self.bounded if self.bounded is not None and flat else self.second_order
+
+
+def identify(heights: npt.ArrayLike, spacing: float, *, band: tuple[float, float] = BAND) -> Identified:
+    """Fit the roads of first and second order, and the bounded one, to a profile.
+
+    Args:
+        heights: m, at equal distances, shape (points,).
+        spacing: their distance, m.
+        band: frequencies to fit, cycles/m, as far as the profile resolves them.
+
+    Raises:
+        ParameterError: a value out of range, or a profile that resolves too little of the band.
+    """
+    z, _ = checked_heights(heights, spacing)
+    spectrum = profile_spectrum(z, spacing)
+    band = resolved_band(spectrum, band, folded=True)
+    inside = spectrum.chosen(band)
+    first = _fit(spectrum, inside, first_order, [()])
+    second = _fit(spectrum, inside, second_order, [(math.log(delta),) for delta in FIRST_BANDWIDTHS])
+    flat = _less_trend(z)
+    kurtosis = _kurtosis(flat)
+    memory = autocovariance(second.road, None, spectrum.spacing * np.arange(z.size), speed=1.0) / second.road.variance
+    weight = np.append(1.0, np.full(z.size - 1, 2.0)) * (1 - np.arange(z.size) / z.size)
+    error = math.sqrt(24 / z.size * float(weight @ memory**4))
+    return Identified(
+        band=band,
+        spectrum=spectrum,
+        first_order=first,
+        second_order=second,
+        bounded=None if first.better_than(second) else _bounded(spectrum, inside, second, kurtosis),
+        kurtosis=kurtosis,
+        kurtosis_distance=(kurtosis - 3) / error,
+        largest=float(np.abs(flat).max()),
+    )
+
+
+def first_order(parameters: FloatArray) -> FirstOrderRoad:
+    """The road of the logarithms of sigma and Omega."""
+    sigma, wavenumber = np.exp(parameters).tolist()
+    return FirstOrderRoad(noise_intensity=sigma, wavenumber=wavenumber)
+
+
+def second_order(parameters: FloatArray) -> GaussianRoad:
+    """The road of the logarithms of sigma, Omega and delta."""
+    sigma, wavenumber, bandwidth = np.exp(parameters).tolist()
+    return GaussianRoad(noise_intensity=sigma, wavenumber=wavenumber, bandwidth=bandwidth)
+
+
+def _fit(
+    spectrum: ProfileSpectrum,
+    inside: npt.NDArray[np.bool_],
+    make: Callable[[FloatArray], Road],
+    others: list[tuple[float, ...]],
+) -> IdentifiedRoad:
+    """The best road, of the logarithms of sigma, Omega and others, of which some to begin with are given."""
+    measured = spectrum.ordinates[inside]
+    length = spectrum.points * spectrum.spacing
+    widest = math.log(0.05 * 2 * math.pi / length), math.log(20 * math.pi / spectrum.spacing)
+    mean = _means(spectrum, inside, make)
+    ends = np.log(2 * math.pi * spectrum.frequency[inside][[0, -1]])
+    starts = []
+    for wavenumber in np.linspace(*ends, FIRST_WAVENUMBERS).tolist():
+        for rest in others:
+            ratio = measured / mean(np.array([0.0, wavenumber, *rest]))
+            scale = math.log(float(ratio.mean()))  # sigma^2, which is the best there
+            starts.append((scale - float(np.log(ratio).mean()), (scale / 2, wavenumber, *rest)))
+    size = len(starts[0][1])
+    limits = [(-20.0, 20.0), widest, *[(math.log(BANDWIDTHS[0]), math.log(BANDWIDTHS[1]))] * (size - 2)]
+    low, high = zip(*limits, strict=True)
+    fit = fit_whittle(measured, mean, min(starts)[1], (low, high))
+    road = make(fit.parameters)
+    names = ("noise_intensity", "wavenumber", "bandwidth")[:size]
+    errors = np.sqrt(np.diag(fit.covariance)).tolist()
+    return IdentifiedRoad(
+        road=road,
+        errors={name: getattr(road, name) * error for name, error in zip(names, errors, strict=True)},
+        log_likelihood=fit.log_likelihood,
+        fit=fit,
+    )
+
+
+def _means(
+    spectrum: ProfileSpectrum, inside: npt.NDArray[np.bool_], make: Callable[[FloatArray], Road]
+) -> Callable[[FloatArray], FloatArray]:
+    """The mean ordinates as a function of the parameters."""
+    lag = spectrum.spacing * np.arange(spectrum.points)
+
+    def mean(parameters: FloatArray) -> FloatArray:
+        found = expected_ordinates(autocovariance(make(parameters), None, lag, speed=1.0))
+        # rounding can leave nothing of a smooth road's shortest waves, and less
+        return np.maximum(found, 1e-14 * found.max())[inside]
+
+    return mean
+
+
+def _less_trend(heights: FloatArray) -> FloatArray:
+    """Heights above the line of least squares, along the last axis."""
+    from scipy.signal import detrend
+
+    return np.asarray(detrend(heights))
+
+
+def _kurtosis(heights: FloatArray) -> Any:
+    """E Z^4/(E Z^2)^2 along the last axis."""
+    square = heights**2
+    return np.mean(square**2, axis=-1) / np.mean(square, axis=-1) ** 2
+
+
+def _drawn(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> FloatArray | None:
+    """Profiles of a bounded road as long as the measured one, shape (DRAWN, points); None where they take too long.
+
+    Between two heights the road takes steps in which its faster motion is resolved, as the law of its higher moments needs.
+    """
+    steps = math.ceil(max(1.0, road.bandwidth) * road.wavenumber * spectrum.spacing / LARGEST_ANGLE)
+    points = steps * (spectrum.points - 1) + 1
+    if points > RANGES["array size"].high or points * DRAWN > MOST_DRAWN:
+        return None
+    return np.concatenate(
+        [sample_road(road, spacing=spectrum.spacing / steps, points=points, seed=seed)[1][:, ::steps] for seed in range(DRAWN)]
+    )
+
+
+def _bounded(
+    spectrum: ProfileSpectrum, inside: npt.NDArray[np.bool_], second: IdentifiedRoad, kurtosis: float
+) -> IdentifiedRoad | None:
+    """The bounded road of the same spectrum, with errors from profiles that are drawn of it."""
+    if not 1.5 < kurtosis < 3:
+        return None
+    shape = (2 * kurtosis - 3) / (3 - kurtosis)
+    if not SHAPES[0] <= shape <= SHAPES[1]:
+        return None
+    twin = second.road
+    assert isinstance(twin, GaussianRoad)
+    bound = math.sqrt(2 * (shape + 1) * twin.variance)
+    road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=twin.bandwidth, level_bound=bound, wavenumber=twin.wavenumber)
+    drawn = _drawn(road, spectrum)
+    if drawn is None:
+        return None
+    expected = spectrum.ordinates[inside] / second.fit.ratio
+    scores = (ordinates(drawn)[:, inside] / expected - 1) @ second.fit.gradient
+    sigma, wavenumber, bandwidth = away = second.fit.inverse_information @ scores.T
+    # d alpha/d k = 3/(3 - k)^2, and r0^2 = (alpha + 1) sigma^2/(2 delta Omega)
+    curved = _kurtosis(_less_trend(drawn))
+    shapes = 3 / (3 - kurtosis) ** 2 * (curved - curved.mean())
+    bounds = shapes / (2 * (shape + 1)) + sigma - (wavenumber + bandwidth) / 2
+    errors = np.sqrt(np.mean(away**2, axis=-1)).tolist()
+    values = (road.noise_intensity, road.wavenumber, road.bandwidth)
+    found = dict(zip(("noise_intensity", "wavenumber", "bandwidth"), np.multiply(errors, values).tolist(), strict=True))
+    return IdentifiedRoad(
+        road=road,
+        errors={**found, "level_bound": bound * float(bounds.std()), "shape": float(shapes.std())},
+        log_likelihood=second.log_likelihood,
+        fit=second.fit,
+    )
