@@ -22,7 +22,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,26 @@ class Line:
     p_value: float | None = None
     passed: bool
 
+    def figures(self) -> dict[str, Any]:
+        """The line by name for JSON, None in place of what is not finite."""
+        return {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in dataclasses.asdict(self).items()
+        }
+
+
+def table_of(lines: Sequence[Line]) -> list[str]:
+    """A table of lines with its head, as lines of `WIDTH` columns."""
+    rows = [("", "measured", "expected", "error", "p", ""), *(_cells(line) for line in lines)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    room = min(widths[0], WIDTH - sum(2 + width for width in widths[1:]))
+    text = []
+    for name, *cells in rows:
+        *above, last = textwrap.wrap(name, room, subsequent_indent="  ") or [""]
+        padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        text += [*above, "  ".join([last.ljust(room), *padded]).rstrip()]
+    return text
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Certificate:
@@ -110,14 +130,7 @@ class Certificate:
 
     def table(self) -> str:
         """The certificate as text of `WIDTH` columns, with shorter names of the lines."""
-        rows = [("", "measured", "expected", "error", "p", ""), *(_cells(line) for line in self.lines)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        room = min(widths[0], WIDTH - sum(2 + width for width in widths[1:]))
-        text = [*_wrapped(self.plant), *_wrapped(self.drive), ""]
-        for name, *cells in rows:
-            *above, last = textwrap.wrap(name, room, subsequent_indent="  ") or [""]
-            padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-            text += [*above, "  ".join([last.ljust(room), *padded]).rstrip()]
+        text = [*_wrapped(self.plant), *_wrapped(self.drive), "", *table_of(self.lines)]
         failed = sum(not line.passed for line in self.lines)
         text += [
             "",
@@ -134,12 +147,7 @@ class Certificate:
 
     def to_json(self) -> str:
         """The certificate as JSON; null for figures that a line does not have, or that are not finite."""
-
-        def finite(value: Any) -> Any:
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
-        data = dataclasses.asdict(self) | {"passed": self.passed}
-        data["lines"] = [{name: finite(value) for name, value in line.items()} for line in data["lines"]]
+        data = dataclasses.asdict(self) | {"passed": self.passed, "lines": [line.figures() for line in self.lines]}
         return json.dumps(data, indent=2)
 
 

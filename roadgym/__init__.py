@@ -19,8 +19,10 @@ from .roads import (
     LinearRoad,
     MultiplicativeRoad,
     PowerLawRoad,
+    Profile,
     Road,
     TwoCornerRoad,
+    read_profile,
     sample_road,
 )
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -43,6 +45,7 @@ __all__ = [
     "ParameterError",
     "PlantError",
     "PowerLawRoad",
+    "Profile",
     "QuarterCar",
     "Road",
     "SpeedNoise",
@@ -50,6 +53,7 @@ __all__ = [
     "TwoMassCar",
     "WhiteSpeedNoise",
     "__version__",
+    "read_profile",
     "register",
     "sample_road",
 ]

@@ -15,6 +15,7 @@ from .harmonic import HarmonicRoad
 from .linear import LinearRoad
 from .multiplicative import MultiplicativeRoad
 from .power_law import PowerLawRoad
+from .profile_files import Profile, read_profile
 from .two_corner import TwoCornerRoad
 
 __all__ = [
@@ -25,9 +26,11 @@ __all__ = [
     "LinearRoad",
     "MultiplicativeRoad",
     "PowerLawRoad",
+    "Profile",
     "Road",
     "TwoCornerRoad",
     "make_road",
+    "read_profile",
     "sample_road",
 ]
 
