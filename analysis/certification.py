@@ -130,12 +130,12 @@ class Certificate:
 
     def table(self) -> str:
         """The certificate as text of `WIDTH` columns, with shorter names of the lines."""
-        text = [*_wrapped(self.plant), *_wrapped(self.drive), "", *table_of(self.lines)]
+        text = [*wrapped(self.plant), *wrapped(self.drive), "", *table_of(self.lines)]
         failed = sum(not line.passed for line in self.lines)
         text += [
             "",
             f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
-            *_wrapped(
+            *wrapped(
                 "error: standard error of measured less expected, from independent lanes. p: p-value, which allows for a bias "
                 f"of {100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car. A line fails where it is "
                 f"below {self.significance:.2g}; a sound plant fails any with a probability of at most {FALSE_ALARM_RATE:g}. "
@@ -143,7 +143,7 @@ class Certificate:
                 "between two levels, and of the skyhook rule."
             ),
         ]
-        return "\n".join([*text, *(line for reason in self.left_out for line in _wrapped(f"Left out: {reason}."))])
+        return "\n".join([*text, *(line for reason in self.left_out for line in wrapped(f"Left out: {reason}."))])
 
     def to_json(self) -> str:
         """The certificate as JSON; null for figures that a line does not have, or that are not finite."""
@@ -431,7 +431,8 @@ def _at(report: Callable[[str, int, int], None], what: str) -> Callable[[int, in
     return lambda done, total: report(what, done, total)
 
 
-def _wrapped(text: str) -> list[str]:
+def wrapped(text: str) -> list[str]:
+    """The text in lines of `WIDTH` columns."""
     return textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 

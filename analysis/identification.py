@@ -1,8 +1,8 @@
 """Identification: which of Wedig's roads (2020) a measured profile comes from, with what parameters, how surely, how well.
 
-*Spectrum.* The first-order road (4) and the second-order one (7), (8) are fitted by Whittle's likelihood with the exact means of
-the ordinates (`analysis.profile_spectrum`): spacing, folding and tapers bias nothing. Standard errors come from the information
-at the estimate. Two of the parameters of the second order are surely known only where the profile holds both its corners.
+*Spectrum.* The first-order road (4) and the second-order one (7), (8) are fitted by Whittle's likelihood with the exact means
+of the ordinates (`analysis.spectra`): spacing, folding and tapers bias nothing. Standard errors come from the information at the
+estimate. Of the second order all is surely known only where the profile holds both its corners.
 
 *Bound.* The bounded road has the spectrum of its linear twin, so its shape alpha follows from the law of the heights,
 p(z) ~ (1 - z^2/r0^2)^(alpha - 1/2), (11): its kurtosis is k = 3 (alpha + 1)/(alpha + 2), whence
@@ -32,9 +32,8 @@ from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad, Road
 
 from .autocovariance import autocovariance
 from .checks import FloatArray
-from .profile_spectrum import ProfileSpectrum, WhittleFit, checked_heights, expected_ordinates, fit_whittle, ordinates
-from .profile_spectrum import profile_spectrum as profile_spectrum
 from .roughness import BAND, resolved_band
+from .spectra import ProfileSpectrum, WhittleFit, checked_heights, expected_ordinates, fit_whittle, ordinates, profile_spectrum
 
 LEVEL = 0.01  # of the tests by which a road is chosen
 DRAWN = 64  # profiles that are drawn of a bounded road for its standard errors
@@ -53,28 +52,12 @@ class IdentifiedRoad:
     Attributes:
         road: the road.
         errors: standard errors of its parameters, by name; infinite where nothing fixes one.
-        log_likelihood: of the spectrum.
-        fit: the fit of the spectrum, whose parameters are logarithms.
+        fit: that of the spectrum, whose parameters are logarithms; it has the information criterion, and Bartlett's test.
     """
 
     road: Road
     errors: Mapping[str, float]
-    log_likelihood: float
     fit: WhittleFit
-
-    @property
-    def information_criterion(self) -> float:
-        """Akaike's, of the spectrum: the least is best."""
-        return 2 * self.fit.parameters.size - 2 * self.log_likelihood
-
-    def better_than(self, other: IdentifiedRoad) -> bool:
-        """Is the information criterion no greater than that of the other?"""
-        return self.information_criterion <= other.information_criterion
-
-    @property
-    def p_value(self) -> float:
-        """Of Bartlett's test whether the profile has the spectrum of the road; see `WhittleFit.p_value`."""
-        return self.fit.p_value
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +93,7 @@ class Identified:
     @property
     def best(self) -> IdentifiedRoad:
         """The road to drive: of the better order, and bounded where the heights are flatter than Gaussian ones would be."""
-        if self.first_order.better_than(self.second_order):
+        if self.first_order.fit.information_criterion <= self.second_order.fit.information_criterion:
             return self.first_order
         flat = self.kurtosis_distance < 0 and self.gaussian_p_value < LEVEL
         return self.bounded if self.bounded is not None and flat else self.second_order
@@ -138,12 +121,13 @@ def identify(heights: npt.ArrayLike, spacing: float, *, band: tuple[float, float
     memory = autocovariance(second.road, None, spectrum.spacing * np.arange(z.size), speed=1.0) / second.road.variance
     weight = np.append(1.0, np.full(z.size - 1, 2.0)) * (1 - np.arange(z.size) / z.size)
     error = math.sqrt(24 / z.size * float(weight @ memory**4))
+    second_better = second.fit.information_criterion < first.fit.information_criterion
     return Identified(
         band=band,
         spectrum=spectrum,
         first_order=first,
         second_order=second,
-        bounded=None if first.better_than(second) else _bounded(spectrum, inside, second, kurtosis),
+        bounded=_bounded(spectrum, inside, second, kurtosis) if second_better else None,
         kurtosis=kurtosis,
         kurtosis_distance=(kurtosis - 3) / error,
         largest=float(np.abs(flat).max()),
@@ -173,24 +157,23 @@ def _fit(
     length = spectrum.points * spectrum.spacing
     widest = math.log(0.05 * 2 * math.pi / length), math.log(20 * math.pi / spectrum.spacing)
     mean = _means(spectrum, inside, make)
-    ends = np.log(2 * math.pi * spectrum.frequency[inside][[0, -1]])
     starts = []
-    for wavenumber in np.linspace(*ends, FIRST_WAVENUMBERS).tolist():
+    low, high = spectrum.frequency[inside][[0, -1]].tolist()
+    for wavenumber in np.log(2 * math.pi * np.geomspace(low, high, FIRST_WAVENUMBERS)).tolist():
         for rest in others:
             ratio = measured / mean(np.array([0.0, wavenumber, *rest]))
             scale = math.log(float(ratio.mean()))  # sigma^2, which is the best there
             starts.append((scale - float(np.log(ratio).mean()), (scale / 2, wavenumber, *rest)))
     size = len(starts[0][1])
     limits = [(-20.0, 20.0), widest, *[(math.log(BANDWIDTHS[0]), math.log(BANDWIDTHS[1]))] * (size - 2)]
-    low, high = zip(*limits, strict=True)
-    fit = fit_whittle(measured, mean, min(starts)[1], (low, high))
+    least, greatest = zip(*limits, strict=True)
+    fit = fit_whittle(measured, mean, min(starts)[1], (least, greatest))
     road = make(fit.parameters)
     names = ("noise_intensity", "wavenumber", "bandwidth")[:size]
     errors = np.sqrt(np.diag(fit.covariance)).tolist()
     return IdentifiedRoad(
         road=road,
         errors={name: getattr(road, name) * error for name, error in zip(names, errors, strict=True)},
-        log_likelihood=fit.log_likelihood,
         fit=fit,
     )
 
@@ -204,7 +187,7 @@ def _means(
     def mean(parameters: FloatArray) -> FloatArray:
         found = expected_ordinates(autocovariance(make(parameters), None, lag, speed=1.0))
         # rounding can leave nothing of a smooth road's shortest waves, and less
-        return np.maximum(found, 1e-14 * found.max())[inside]
+        return np.asarray(np.maximum(found, 1e-14 * found.max())[inside])
 
     return mean
 
@@ -265,6 +248,5 @@ def _bounded(
     return IdentifiedRoad(
         road=road,
         errors={**found, "level_bound": bound * float(bounds.std()), "shape": float(shapes.std())},
-        log_likelihood=second.log_likelihood,
         fit=second.fit,
     )

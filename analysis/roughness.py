@@ -1,7 +1,7 @@
 """What a road engineer asks of a measured profile: its class after ISO 8608, its waviness, its International Roughness Index.
 
 *Class and waviness.* The law G(n) = G(n0) (n/n0)^-w of `roadgym.roads.iso8608` is fitted by Whittle's likelihood
-(`analysis.profile_spectrum`), with w free, and with w = 2.
+(`analysis.spectra`), with w free, and with w = 2.
 
 *Roughness index*, IRI, after ASTM E1926 and M. W. Sayers, "On the calculation of International Roughness Index from
 longitudinal road profile", Transportation Research Record 1501, 1995: the mean of |slope of the body - slope of the wheel|,
@@ -24,7 +24,7 @@ from roadgym.parameters import ParameterError, positive, within
 from roadgym.roads import PowerLawRoad, iso8608
 
 from .checks import FloatArray
-from .profile_spectrum import ProfileSpectrum, WhittleFit, checked_heights, fit_whittle, profile_spectrum
+from .spectra import ProfileSpectrum, WhittleFit, checked_heights, fit_whittle, profile_spectrum
 
 BAND = (0.011, 2.83)  # cycles/m, of ISO 8608
 SHORTEST = 4.0  # spacings in the shortest wave of the band, where nothing is known of what folds back on shorter ones
@@ -70,7 +70,7 @@ class PowerLaw:
 
     @property
     def limit_distances(self) -> tuple[float, float]:
-        """How far the roughness is above the lower and below the upper limit of its class, in standard errors of its logarithm."""
+        """How far the roughness is from the lower and the upper limit of its class, in standard errors of its logarithm."""
         low, high = self.class_limits
         below = math.inf if low == 0 else math.log(self.roughness / low) / self.relative_error
         return below, math.inf if high == math.inf else math.log(high / self.roughness) / self.relative_error
@@ -97,14 +97,14 @@ class RoughnessFit:
     standard: PowerLaw
 
     def road(self) -> PowerLawRoad:
-        """A road of the law with its own waviness, over the band.
+        """A road of the law with its own waviness, over the band and an octave on either side, where its ends are rounded.
 
         Raises:
             ParameterError: a waviness that roads cannot have.
         """
         low, high = self.band
         return PowerLawRoad.from_iso8608(
-            self.free.roughness, waviness=self.free.waviness, lowest_frequency=low, highest_frequency=high
+            self.free.roughness, waviness=self.free.waviness, lowest_frequency=low / 2, highest_frequency=2 * high
         )
 
 

@@ -220,17 +220,26 @@ class WhittleFit:
         return SPREAD * self.inverse_information
 
     @property
+    def information_criterion(self) -> float:
+        """Akaike's: the least is best, of what is fitted to the same ordinates."""
+        return 2 * self.parameters.size - 2 * self.log_likelihood
+
+    @property
+    def distance(self) -> float:
+        """Largest distance of the cumulative sum of the ratios, over the whole of it, from an even rise."""
+        number = self.ratio.size
+        return float(np.abs(np.cumsum(self.ratio) / self.ratio.sum() - np.arange(1, number + 1) / number).max())
+
+    @property
     def p_value(self) -> float:
-        """Of Bartlett's test, whether the cumulative sum of the ratios rises evenly; above the truth where much is fitted.
+        """Of Bartlett's test whether the ratios are 1 all over the band; above the truth where much is fitted.
 
         Source: M. S. Bartlett, "Problemes de l'analyse spectrale des series temporelles stationnaires", Publ. Inst. Statist.
-        Univ. Paris III-3, 1954: the largest distance times the root of the number of ordinates follows Kolmogorov's law.
+        Univ. Paris III-3, 1954: the distance times the root of the number of ordinates follows Kolmogorov's law.
         """
         from scipy.stats import kstwobign
 
-        number = self.ratio.size
-        away = np.cumsum(self.ratio) / self.ratio.sum() - np.arange(1, number + 1) / number
-        return float(kstwobign.sf(np.abs(away).max() * math.sqrt(number / SPREAD)))
+        return float(kstwobign.sf(self.distance * math.sqrt(self.ratio.size / SPREAD)))
 
 
 def fit_whittle(
