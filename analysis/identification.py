@@ -1,8 +1,8 @@
 """Identification: which of Wedig's roads (2020) a measured profile comes from, with what parameters, how surely, how well.
 
 *Spectrum.* The first-order road (4) and the second-order one (7), (8) are fitted by Whittle's likelihood with the exact means
-of the ordinates (`analysis.spectra`): spacing, folding and tapers bias nothing. Standard errors come from the information at the
-estimate. Of the second order all is surely known only where the profile holds both its corners.
+of the ordinates (`analysis.spectra`): spacing, folding and tapers bias nothing. Standard errors come from the information at
+the estimate. Of the second order all is surely known only where the profile holds both its corners.
 
 *Bound.* The bounded road has the spectrum of its linear twin, so its shape alpha follows from the law of the heights,
 p(z) ~ (1 - z^2/r0^2)^(alpha - 1/2), (11): its kurtosis is k = 3 (alpha + 1)/(alpha + 2), whence
@@ -38,7 +38,7 @@ from .spectra import ProfileSpectrum, WhittleFit, checked_heights, expected_ordi
 LEVEL = 0.01  # of the tests by which a road is chosen
 DRAWN = 64  # profiles that are drawn of a bounded road for its standard errors
 SHAPES = (0.05, 1e3)  # of a bounded road that can be told from a sinusoid and from a Gaussian road
-LARGEST_ANGLE = 0.2  # rad, of the road or of its faster motion, between two points that are drawn
+LARGEST_ANGLE = 0.1  # rad, of the road or of its faster motion, between two points that are drawn
 MOST_DRAWN = 2e8  # points
 BANDWIDTHS = (1e-3, 1e3)
 FIRST_BANDWIDTHS = (0.03, 0.2, 1.0, 5.0, 25.0)  # where the search begins
@@ -52,7 +52,8 @@ class IdentifiedRoad:
     Attributes:
         road: the road.
         errors: standard errors of its parameters, by name; infinite where nothing fixes one.
-        fit: that of the spectrum, whose parameters are logarithms; it has the information criterion, and Bartlett's test.
+        fit: that of the spectrum, whose parameters are logarithms; it has the information criterion, and Bartlett's test. On a
+            bounded road it is that of the linear twin.
     """
 
     road: Road
@@ -91,12 +92,34 @@ class Identified:
         return math.erfc(abs(self.kurtosis_distance) / math.sqrt(2))
 
     @property
+    def corners(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Both corners of a second-order road of real ones, cycles/m, each with its relative standard error; None of others.
+
+        They are Omega (delta -+ sqrt(delta^2 - 1)); a profile often fixes one of them alone, and neither Omega nor delta.
+        """
+        _, wavenumber, bandwidth = self.second_order.fit.parameters.tolist()
+        if bandwidth <= 0:
+            return None
+        delta = math.exp(bandwidth)
+        away, rate = math.acosh(delta), delta / math.sqrt((delta - 1) * (delta + 1))
+        found = []
+        for side in (-1, 1):
+            row = np.array([0.0, 1.0, side * rate])
+            error = math.sqrt(float(row @ self.second_order.fit.covariance @ row))
+            found.append((math.exp(wavenumber + side * away) / (2 * math.pi), error))
+        return found[0], found[1]
+
+    @property
+    def is_flat(self) -> bool:
+        """Are the heights flatter than those of a Gaussian road would be, beyond chance?"""
+        return self.kurtosis_distance < 0 and self.gaussian_p_value < LEVEL
+
+    @property
     def best(self) -> IdentifiedRoad:
         """The road to drive: of the better order, and bounded where the heights are flatter than Gaussian ones would be."""
         if self.first_order.fit.information_criterion <= self.second_order.fit.information_criterion:
             return self.first_order
-        flat = self.kurtosis_distance < 0 and self.gaussian_p_value < LEVEL
-        return self.bounded if self.bounded is not None and flat else self.second_order
+        return self.bounded if self.bounded is not None and self.is_flat else self.second_order
 
 
 def identify(heights: npt.ArrayLike, spacing: float, *, band: tuple[float, float] = BAND) -> Identified:
@@ -116,7 +139,7 @@ def identify(heights: npt.ArrayLike, spacing: float, *, band: tuple[float, float
     inside = spectrum.chosen(band)
     first = _fit(spectrum, inside, first_order, [()])
     second = _fit(spectrum, inside, second_order, [(math.log(delta),) for delta in FIRST_BANDWIDTHS])
-    flat = _less_trend(z)
+    flat = less_trend(z)
     kurtosis = _kurtosis(flat)
     memory = autocovariance(second.road, None, spectrum.spacing * np.arange(z.size), speed=1.0) / second.road.variance
     weight = np.append(1.0, np.full(z.size - 1, 2.0)) * (1 - np.arange(z.size) / z.size)
@@ -192,7 +215,7 @@ def _means(
     return mean
 
 
-def _less_trend(heights: FloatArray) -> FloatArray:
+def less_trend(heights: FloatArray) -> FloatArray:
     """Heights above the line of least squares, along the last axis."""
     from scipy.signal import detrend
 
@@ -237,16 +260,19 @@ def _bounded(
         return None
     expected = spectrum.ordinates[inside] / second.fit.ratio
     scores = (ordinates(drawn)[:, inside] / expected - 1) @ second.fit.gradient
-    sigma, wavenumber, bandwidth = away = second.fit.inverse_information @ scores.T
-    # d alpha/d k = 3/(3 - k)^2, and r0^2 = (alpha + 1) sigma^2/(2 delta Omega)
-    curved = _kurtosis(_less_trend(drawn))
+    twin_sigma, wavenumbers, bandwidths = second.fit.inverse_information @ scores.T
+    # d alpha/d k = 3/(3 - k)^2; sigma^2 = (1 + 1/alpha) times that of the twin; r0^2 = (alpha + 1)/(2 delta Omega) times it
+    curved = _kurtosis(less_trend(drawn))
     shapes = 3 / (3 - kurtosis) ** 2 * (curved - curved.mean())
-    bounds = shapes / (2 * (shape + 1)) + sigma - (wavenumber + bandwidth) / 2
-    errors = np.sqrt(np.mean(away**2, axis=-1)).tolist()
-    values = (road.noise_intensity, road.wavenumber, road.bandwidth)
-    found = dict(zip(("noise_intensity", "wavenumber", "bandwidth"), np.multiply(errors, values).tolist(), strict=True))
+    away = {
+        "noise_intensity": twin_sigma - shapes / (2 * shape * (shape + 1)),
+        "wavenumber": wavenumbers,
+        "bandwidth": bandwidths,
+        "level_bound": twin_sigma + shapes / (2 * (shape + 1)) - (wavenumbers + bandwidths) / 2,
+        "shape": shapes / shape,
+    }
     return IdentifiedRoad(
         road=road,
-        errors={**found, "level_bound": bound * float(bounds.std()), "shape": float(shapes.std())},
+        errors={name: getattr(road, name) * float(np.sqrt(np.mean(each**2))) for name, each in away.items()},
         fit=second.fit,
     )
