@@ -115,10 +115,7 @@ def measure(
 
 def _candidates(roughness: RoughnessFit, identified: Identified) -> tuple[Candidate, ...]:
     """The roads that were fitted, the best first; the bounded one where the heights ask for it, before its linear twin."""
-    roads = [identified.first_order, identified.second_order]
-    if identified.bounded is not None and identified.is_flat:
-        roads.append(identified.bounded)
-    found = [_candidate(road) for road in roads]
+    found = [_candidate(road) for road in (identified.first_order, identified.second_order, identified.bounded) if road]
     law = roughness.free
     try:
         road = roughness.road()

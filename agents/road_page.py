@@ -103,8 +103,9 @@ def draw_spectrum(measured: MeasuredRoad, narrow: bool) -> Figure:
     for number, (name, mean) in enumerate(iso8608.MEANS.items()):
         middle = mean * (n / iso8608.REFERENCE) ** -2
         axis.fill_between(n, middle / 2, middle * 2, color="#888888", alpha=0.22 if number % 2 else 0.1, linewidth=0)
-        if low < middle[0] < high:
-            axis.text(n[0], middle[0], f" {name}", va="center", fontsize=9, color="#444444")
+        seen = int(np.argmax(middle < high / 2))  # where it comes in
+        if low < middle[seen] < high / 2:
+            axis.text(n[seen], middle[seen], f" {name}", va="center", fontsize=9, color="#444444")
     axis.plot(spectrum.frequency, spectrum.density, color="#999999", linewidth=0.5, zorder=1)
     freedom = bands.degrees_of_freedom
     ends = np.array([freedom / chi2.isf((1 - sign * CONFIDENCE) / 2, freedom) for sign in (1, -1)])
@@ -147,7 +148,8 @@ def short_waves(heights: npt.NDArray[np.float64], measured: MeasuredRoad) -> npt
     from scipy.signal import butter, detrend, sosfiltfilt
 
     sections = butter(2, measured.roughness.band[0], "highpass", fs=1 / measured.profile.spacing, output="sos")
-    return np.asarray(sosfiltfilt(sections, detrend(heights)))
+    longest = int(2 / (measured.roughness.band[0] * measured.profile.spacing))
+    return np.asarray(sosfiltfilt(sections, detrend(heights), padlen=min(longest, heights.size - 1)))
 
 
 def draw_residuals(measured: MeasuredRoad, narrow: bool) -> Figure:
@@ -186,7 +188,7 @@ def draw_heights(measured: MeasuredRoad, narrow: bool) -> Figure:
     gaussian = np.exp(-0.5 * (z / deviation) ** 2) / (deviation * math.sqrt(2 * math.pi))
     axis.plot(1000 * z, gaussian / 1000, "--", color=LAW, linewidth=1.6, label="Gaussian of this deviation")
     bounded = measured.identified.bounded
-    if bounded is not None and measured.identified.is_flat:
+    if bounded is not None:
         density = analysis.marginal_density(bounded.road, z) / 1000
         axis.plot(1000 * z, np.where(np.isfinite(density), density, np.nan), color=DRIVEN, linewidth=1.6, label="bounded road")
     axis.set_xlabel("height above the trend, mm")

@@ -71,7 +71,7 @@ class Identified:
         first_order: `roadgym.FirstOrderRoad`.
         second_order: `roadgym.GaussianRoad`.
         bounded: `roadgym.MultiplicativeRoad`; None where the first order is the better one, where the heights are not flatter
-            than Gaussian ones, or flatter than a sinusoid's, and where to draw such roads takes too long.
+            than Gaussian ones beyond chance, or are flatter than a sinusoid's, and where to draw such roads takes too long.
         kurtosis: of the heights, less their trend.
         kurtosis_distance: the kurtosis less 3, in standard errors of a Gaussian profile of second order.
         largest: greatest height above or below the trend, m.
@@ -89,7 +89,7 @@ class Identified:
     @property
     def gaussian_p_value(self) -> float:
         """Of the test whether the kurtosis is that of a Gaussian profile."""
-        return math.erfc(abs(self.kurtosis_distance) / math.sqrt(2))
+        return two_sided(self.kurtosis_distance)
 
     @property
     def corners(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
@@ -110,16 +110,11 @@ class Identified:
         return found[0], found[1]
 
     @property
-    def is_flat(self) -> bool:
-        """Are the heights flatter than those of a Gaussian road would be, beyond chance?"""
-        return self.kurtosis_distance < 0 and self.gaussian_p_value < LEVEL
-
-    @property
     def best(self) -> IdentifiedRoad:
         """The road to drive: of the better order, and bounded where the heights are flatter than Gaussian ones would be."""
         if self.first_order.fit.information_criterion <= self.second_order.fit.information_criterion:
             return self.first_order
-        return self.bounded if self.bounded is not None and self.is_flat else self.second_order
+        return self.second_order if self.bounded is None else self.bounded
 
 
 def identify(heights: npt.ArrayLike, spacing: float, *, band: tuple[float, float] = BAND) -> Identified:
@@ -139,22 +134,29 @@ def identify(heights: npt.ArrayLike, spacing: float, *, band: tuple[float, float
     inside = spectrum.chosen(band)
     first = _fit(spectrum, inside, first_order, [()])
     second = _fit(spectrum, inside, second_order, [(math.log(delta),) for delta in FIRST_BANDWIDTHS])
-    flat = less_trend(z)
-    kurtosis = _kurtosis(flat)
+    above = less_trend(z)
+    kurtosis = float(_kurtosis(above))
     memory = autocovariance(second.road, None, spectrum.spacing * np.arange(z.size), speed=1.0) / second.road.variance
     weight = np.append(1.0, np.full(z.size - 1, 2.0)) * (1 - np.arange(z.size) / z.size)
     error = math.sqrt(24 / z.size * float(weight @ memory**4))
+    away = (kurtosis - 3) / error
     second_better = second.fit.information_criterion < first.fit.information_criterion
+    flat = away < 0 and two_sided(away) < LEVEL
     return Identified(
         band=band,
         spectrum=spectrum,
         first_order=first,
         second_order=second,
-        bounded=_bounded(spectrum, inside, second, kurtosis) if second_better else None,
+        bounded=_bounded(spectrum, inside, second, kurtosis) if second_better and flat else None,
         kurtosis=kurtosis,
-        kurtosis_distance=(kurtosis - 3) / error,
-        largest=float(np.abs(flat).max()),
+        kurtosis_distance=away,
+        largest=float(np.abs(above).max()),
     )
+
+
+def two_sided(distance: float) -> float:
+    """Probability that a standard normal variate is as far from 0."""
+    return math.erfc(abs(distance) / math.sqrt(2))
 
 
 def first_order(parameters: FloatArray) -> FirstOrderRoad:
@@ -235,18 +237,22 @@ def _drawn(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> FloatArray | 
     """
     steps = math.ceil(max(1.0, road.bandwidth) * road.wavenumber * spectrum.spacing / LARGEST_ANGLE)
     points = steps * (spectrum.points - 1) + 1
-    if points > RANGES["array size"].high or points * DRAWN > MOST_DRAWN:
+    number = min(int(RANGES["array size"].high) // points, DRAWN)  # together
+    if number == 0 or points * DRAWN > MOST_DRAWN:
         return None
-    return np.concatenate(
-        [sample_road(road, spacing=spectrum.spacing / steps, points=points, seed=seed)[1][:, ::steps] for seed in range(DRAWN)]
+    spacing = spectrum.spacing / steps
+    batches = (
+        sample_road(road, spacing=spacing, points=points, number=min(number, DRAWN - seed), seed=seed)[1][:, ::steps]
+        for seed in range(0, DRAWN, number)
     )
+    return np.concatenate(list(batches))
 
 
 def _bounded(
     spectrum: ProfileSpectrum, inside: npt.NDArray[np.bool_], second: IdentifiedRoad, kurtosis: float
 ) -> IdentifiedRoad | None:
     """The bounded road of the same spectrum, with errors from profiles that are drawn of it."""
-    if not 1.5 < kurtosis < 3:
+    if kurtosis <= 1.5:
         return None
     shape = (2 * kurtosis - 3) / (3 - kurtosis)
     if not SHAPES[0] <= shape <= SHAPES[1]:
