@@ -158,6 +158,15 @@ def mapping(road: Road) -> dict[str, Any]:
     return {name: float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value for name, value in found.items()}
 
 
+def options(road: Road) -> list[str]:
+    """Options of the commands that drive, with which they drive this very road."""
+    found = [f"--road '{json.dumps(mapping(road))}'"]
+    bandwidth = mapping(road).get("bandwidth")
+    if bandwidth is not None:  # which a command else draws from a range of its own
+        found.append(f"--bandwidth-range {bandwidth:g} {bandwidth:g}")
+    return found
+
+
 def summary(measured: MeasuredRoad) -> list[tuple[str, str]]:
     """What was found, in order: a term, and a sentence on it."""
     profile, roughness, identified = measured.profile, measured.roughness, measured.identified
@@ -227,7 +236,7 @@ def table(measured: MeasuredRoad) -> str:
     for one in measured.candidates:
         text.append(f"{one.road.kind:16}{one.fit.information_criterion - least:8.1f}{one.fit.p_value:10.2g}")
         text += _filled("  ", one.told, 4)
-    text += ["", "To drive it:", f"  --road '{json.dumps(mapping(measured.road))}'"]
+    text += ["", "To drive it:", *(f"  {option}" for option in options(measured.road))]
     if measured.certificate is not None:
         text += ["", measured.certificate.table()]
     return "\n".join(text)

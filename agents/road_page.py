@@ -17,7 +17,7 @@ from roadgym.installation import needs
 from roadgym.roads import iso8608, sample_road
 
 from .figures import save_figure
-from .measured_road import Candidate, MeasuredRoad, mapping, summary
+from .measured_road import Candidate, MeasuredRoad, mapping, options, summary
 from .records import versions, write_atomically
 from .results import Picture
 
@@ -217,10 +217,11 @@ def make_page(measured: MeasuredRoad, pictures: list[Picture]) -> str:
                 "told": one.told,
                 "above": f"{one.fit.information_criterion - least:.1f}",
                 "p_value": f"{one.fit.p_value:.2g}",
-                "mapping": json.dumps(mapping(one.road)),
             }
             for one in measured.candidates
         ],
+        options=" ".join(options(measured.road)),
+        mapping=json.dumps(mapping(measured.road)),
         certificate=measured.certificate,
         versions=versions(),
     )
