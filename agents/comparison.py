@@ -197,6 +197,7 @@ def compare(
         "seed": seed,
         "confidence": CONFIDENCE,
         "control_variates": evaluations["analytic_optimum"].control_variates,
+        "balances": evaluations["analytic_optimum"].balances,
         "best_known_feedback": references,
         "agents": {name: [plain(getattr(agent, "description", None)) for agent in seeds] for name, seeds in named.items()},
         "versions": versions(),

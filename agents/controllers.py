@@ -380,7 +380,7 @@ class OptimalFeedback(Scheduled):
             # observed in single precision: six digits make neighbouring roundings one operating point, and one file
             speed=float(f"{ratio * task.car.natural_frequency / task.road.wavenumber:.6g}"),
             car=task.car,
-            weights=task.weights_by_name,
+            weights=task.reward_by_name,
             bounds=task.damping_range,
             control_interval=task.control_interval,
             cache=cache_folder(),

@@ -81,7 +81,7 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
             draw_policy(met, comparison, path)
             draw_policy(met, comparison, narrow, narrow=True)
             pictures.append(Picture(path, caption, narrow))
-    if len(comparison.task.weights_by_name) > 1:
+    if len(comparison.task.reward_by_name) > 1:
         path = folder / "pareto.png"
         pictures.append(Picture(path, draw_pareto(comparison, path, report)))
     return pictures
@@ -292,7 +292,7 @@ def optimal_front(
     comparison: Comparison, names: Sequence[str], point: OperatingPoint, report: Report | None
 ) -> npt.NDArray[np.float64]:
     """Two mean squares of the optimal feedbacks for `FRONT` of their weights' ratios, driven, shape (5, 2)."""
-    weights = comparison.task.weights_by_name
+    weights = comparison.task.reward_by_name
     found = []
     for number, factor in enumerate(FRONT):
         if report:
@@ -316,7 +316,7 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
     where the comparison drove the optimal feedback.
     """
     task = comparison.task
-    names = list(task.weights_by_name)[:2]
+    names = list(task.reward_by_name)[:2]
     speeds = sorted({point.speed for point in comparison.points})
     point = next(point for point in comparison.points if point.speed == speeds[(len(speeds) - 1) // 2])
     figure = Figure(figsize=(9.0, 5.4), layout="constrained")
@@ -330,7 +330,7 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
             speed=point.speed,
             car=task.car,
         )
-        x, y = (np.asarray(squares[name]) / task.road.variance for name in names)
+        x, y = (np.asarray(squares[name]) / task.cost_unit for name in names)
         axis.plot(x, y, color="#0072B2", linewidth=1.2, label="constant $D$, theory")
         for value in (0.1, 0.2, 0.3, 0.5, 0.7):
             if task.damping_range[0] < value < task.damping_range[1]:

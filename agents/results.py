@@ -52,7 +52,7 @@ class Row:
         gap_closed: share of the way from the best constant damping to the best known feedback; None where that feedback saves
             less than `LEAST_ROOM`.
         switches: damping switches a second.
-        squares: the mean squares over E Z^2 by name.
+        squares: the mean squares by name, over the task's `cost_unit`: over E Z^2, or in SI units.
     """
 
     controller: str

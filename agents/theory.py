@@ -45,13 +45,13 @@ def optimum(task: Task, speed: float, bandwidth: float) -> analysis.Optimum:
         task.speed_noise,
         speed=speed,
         car=task.car,
-        weights=task.weights_by_name,
+        weights=task.reward_by_name,
         bounds=task.damping_range,
     )
 
 
 def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float) -> float:
-    """Minus the mean reward of a constant damping by theory: the weighted mean squares over E Z^2."""
+    """Minus the mean reward of a constant damping by theory."""
     squares = analysis.mean_squares(
         road_at(task, bandwidth),
         task.speed_noise,
@@ -59,8 +59,7 @@ def theoretical_cost(task: Task, damping: float, speed: float, bandwidth: float)
         speed=speed,
         car=task.car,
     )
-    total = sum(weight * float(squares[name]) for name, weight in task.weights_by_name.items())
-    return total / task.road.variance
+    return sum(weight * float(squares[name]) for name, weight in task.reward_by_name.items()) / task.cost_unit
 
 
 class OperatingGrid:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from roadgym.cars import Car
 from roadgym.plant import Plant
-from roadgym.reward import divergent_terms
+from roadgym.reward import cost_unit, divergent_terms
 from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
 from roadgym.task import LARGEST_ANGLE, LARGEST_DECAY, fastest_rate, make_task
@@ -58,8 +58,8 @@ def drive_together(
         names: mean squares that must be known so well; all by default.
 
     Returns:
-        Mean squares of each lane in the order of the car's, m^2, shape (squares, dampings, lanes): means over lanes estimate
-        the mean squares, and their spread the standard errors. Infinite where they diverge.
+        Mean squares of each lane in the order of the car's, as told, shape (squares, dampings, lanes): means over lanes
+        estimate the mean squares, and their spread the standard errors. Infinite where they diverge.
     """
     low, high = float(damping.min()), float(damping.max())
     turn = speed * road.wavenumber
@@ -108,7 +108,7 @@ def drive_together(
         means = figures[chosen].mean(axis=-1)
         errors = figures[chosen].std(axis=-1, ddof=1) / math.sqrt(lanes)
         if np.all(errors <= relative_error * means):
-            return np.asarray(road.variance * figures)
+            return np.asarray(task.square_units[:, None, None] * figures)
 
 
 def _without_controls(figures: FloatArray, controls: FloatArray) -> FloatArray:
@@ -124,7 +124,7 @@ def _without_controls(figures: FloatArray, controls: FloatArray) -> FloatArray:
 def driven_mean_squares(
     road: Road, speed_noise: SpeedNoise | None, damping: float, speed: float, car: Car, relative_error: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The mean squares and their standard errors, m^2, shape (squares,) each, of a driven plant at one operating point."""
+    """The mean squares and their standard errors, as told, shape (squares,) each, of a driven plant at one operating point."""
     figures = drive_together(
         road,
         speed_noise,
@@ -153,7 +153,7 @@ def driven_optimum(
     bounds: tuple[float, float],
     relative_error: float,
 ) -> tuple[float, float, float, float]:
-    """The best constant damping of a driven plant and its cost over the road's variance, then their standard errors; all 1.
+    """The best constant damping of a driven plant and its cost, then their standard errors.
 
     Common noise makes the cost a smooth curve of the damping, shifted as a whole by chance: a coarse grid finds the
     neighbourhood of its minimum, and a cubic in log D over a finer one the place. To first order in the noise the cubic of a
@@ -175,7 +175,7 @@ def driven_optimum(
             names=names,
         )
         total = sum(weight * rows for weight, rows in zip(weights, figures, strict=True) if weight)
-        return np.asarray(total / road.variance)
+        return np.asarray(total / cost_unit(car, road))
 
     grid = np.linspace(low, high, max(2, math.ceil((high - low) / COARSE_STEP) + 1)) if high > low else np.array([low])
     best = int(np.argmin(costs_at(grid, COARSE_ERROR, COARSE_LANES).mean(axis=1)))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from roadgym.cars import Car, make_car
 from roadgym.parameters import positive_range, within
-from roadgym.reward import check_weights
+from roadgym.reward import check_weights, cost_unit
 from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
@@ -30,7 +30,7 @@ class Optimum:
 
     Args:
         damping: D, 1.
-        cost: weighted mean squares over the road's variance, 1: minus the mean reward.
+        cost: weighted mean squares over the road's variance, or over the car's `cost_unit`: minus the mean reward.
         standard_error: standard errors of both, where they come from simulation; None where they are exact.
     """
 
@@ -47,7 +47,7 @@ def optimal_damping(
     natural_frequency: float | None = None,
     car: str | Mapping[str, Any] | Car | None = None,
     weights: Mapping[str, float] = DISPLACEMENT,
-    bounds: tuple[float, float] = (0.05, 1.0),
+    bounds: tuple[float, float] | None = None,
     bandwidth: npt.ArrayLike | None = None,
     relative_error: float = RELATIVE_ERROR,
 ) -> Optimum:
@@ -70,7 +70,7 @@ def optimal_damping(
         natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
         car: a car, or its name or mapping; the car of one mass by default.
         weights: weights of the mean squares, as of the reward of the environment.
-        bounds: smallest and largest damping, 0 < low <= high.
+        bounds: smallest and largest damping, 0 < low <= high; the car's range by default, (0.05, 1) of one mass.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance; any shape that broadcasts with ``speed``.
         relative_error: standard error over the mean, 1, at which a simulation ends.
 
@@ -83,6 +83,7 @@ def optimal_damping(
     checked = check_weights(weights, the_car, road, speed_noise)
     driven = needs_simulation(road, speed_noise, the_car)
     closed = has_closed_form(road, the_car) and not driven
+    bounds = the_car.default_damping_range if bounds is None else bounds
     low, high = positive_range("bounds", bounds, "constant damping" if closed else "damping")
     relative_error = within("relative_error", relative_error)
     if speed_noise is not None:
@@ -117,7 +118,7 @@ def optimal_damping(
             car=the_car,
             bandwidth=rest[0] if rest else None,
         )
-        return np.asarray(sum(weight * result[name] for name, weight in checked.items() if weight) / road.variance)
+        return np.asarray(sum(weight * result[name] for name, weight in checked.items() if weight) / cost_unit(the_car, road))
 
     points = np.geomspace(np.full(speed.shape, low), high, COARSE)
     for _ in range(ROUNDS + 1):

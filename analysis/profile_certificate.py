@@ -4,7 +4,7 @@ Lines: the roughness G(n0) of the law with w = 2, over which public generators e
 class taken for its mean, cycles for radians); the waviness, against 2; whether the spectrum is the law with w = 2 all over the
 band, by Bartlett's test; and the roughness index that the class has at 80 km/h, see `analysis.roughness`.
 
-The probability that a sound profile fails any line is at most `analysis.certification.FALSE_ALARM_RATE`, shared out equally.
+The probability that a sound profile fails any line is at most `analysis.certificate.FALSE_ALARM_RATE`, shared out equally.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from roadgym.roads import iso8608
 
-from .certification import FALSE_ALARM_RATE, Line, table_of, wrapped
+from .certificate import FALSE_ALARM_RATE, Line, table_of, wrapped
 from .roughness import BAND, WAVINESS, WIDEST, expected_iri, fit_iso8608, international_roughness_index, iri_response
 from .spectra import SPREAD, WhittleFit, checked_heights
 

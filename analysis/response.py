@@ -120,8 +120,8 @@ def mean_squares(
         relative_error: standard error over the mean, 1, at which a simulation ends.
 
     Returns:
-        The mean squares of all signals of the car, m^2; infinite where they diverge because the road's rate of change contains
-        white noise.
+        The mean squares of all signals of the car, in the squares of the units in which it tells them: m^2, of the car of two
+        masses SI. Infinite where they diverge because the road's rate of change contains white noise.
 
     Raises:
         ParameterError: a value out of range.
@@ -154,7 +154,8 @@ def mean_squares(
         found = _closed(road, road_filter, speed_noise, damping, ratio, w1)
     else:
         found = LinearSystem.of(road_filter, the_car.motion, damping=damping, ratio=ratio).mean_squares()
-    return MeanSquares.of({name: road.variance * square for name, square in found.items()})
+    factors = dict(zip(the_car.mean_squares, the_car.unit_factors.tolist(), strict=True))
+    return MeanSquares.of({name: factors[name] ** 2 * (road.variance * square) for name, square in found.items()})
 
 
 def has_closed_form(road: Road, car: Car) -> bool:

@@ -92,16 +92,22 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         if not isinstance(kind, str) or kind not in self:
             raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join([*self, *self.presets])}")
         component: Any = self[kind]
+        needed: list[str] = []
         own = next((name for name in component.constructors if name in parameters), None)
         if own is None:
             allowed = [field.name for field in dataclasses.fields(component) if field.init]
             known = ", ".join([*allowed, *component.constructors])
         else:
             component = getattr(component, component.constructors[own])
-            allowed = list(inspect.signature(component).parameters)
+            signature = inspect.signature(component).parameters
+            allowed = list(signature)
+            needed = [name for name in allowed if signature[name].default is inspect.Parameter.empty]
             known = ", ".join(allowed)
         for name in parameters:
             if name not in allowed:
                 beside = "" if own is None else f" beside {own!r}"
                 raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}{beside}; known: {known}")
+        for name in needed:
+            if name not in parameters:
+                raise ParameterError(f"{self.what} {kind!r} needs {name} beside {own!r}, got {shown(dict(value))}")
         return component(**parameters)  # type: ignore[no-any-return]

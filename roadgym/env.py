@@ -53,22 +53,24 @@ def check_render_mode(mode: Any, known: Sequence[str]) -> None:
 class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float32]]):
     """A quarter car on a random road; the action sets its damping ratio D for the next control interval.
 
-    By default the car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own.
+    By default the car is one mass, the body on a spring and a damper that follow the road; it has no wheel of its own. What is
+    told in metres of that car, a car in SI units such as `roadgym.TwoMassCar` tells in its units (`roadgym.cars.Car.units`).
 
     - Action: D itself, `Box(damping_range)`, shape (1,), float32. It saturates at the range, as an actuator does; an action
       that is not finite or has another shape raises.
-    - Reward: minus the weighted sum of the interval's mean squares over the road's variance E Z^2. With the default weights the
+    - Reward: minus the weighted sum of the interval's mean squares over the road's variance E Z^2; of a car in SI units, over
+      nothing, so that rough roads cost more than smooth ones. With the default weights of one mass the
       mean reward at constant D is minus the variance ratio E Y^2 / E Z^2, for example (16) of Wedig (2020).
     - Observation: float32, the signals named in ``signal_names``, in units of the road's standard deviation (velocity over w1,
       acceleration over w1^2), saturating at 20 of them; then, unless it is hidden, the operating point, speed as nu/(1 + nu)
       with nu = speed * wavenumber / natural_frequency and, where it exists, bandwidth delta as 2 delta/(1 + 2 delta).
-      ``signal_scale`` holds the factors that make metres of them.
+      ``signal_scale`` holds the factors that make metres, or the car's units, of them.
     - Info, in double precision: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
       ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
       noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1). At a reset no
       interval has been driven yet: mean squares and damping are 0.
     - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
-      stationary law and the car at rest, or warmed up.
+      stationary law and the car at rest, at zero or, of two masses, standing on the road; or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
     - Rendering: with "rgb_array" `render` returns the picture, uint8, shape (640, 800, 3); with "human" a window shows it at
       every reset and step, 60 of them a second. `roadgym.rendering` says what is in it; its title is ``render_title``. This
@@ -94,7 +96,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.observation_space = self.task.observation_space
         self.signal_names = self.task.signals
         self.signal_scale = self.task.signal_scale
-        self.plant = Plant(self.task, 1, threads=1, units=self.task.units)
+        self.plant = Plant(self.task, 1, threads=1, told=True)
         self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
         self._names = self.task.car.mean_squares
         self.history: History | None = None

@@ -114,7 +114,7 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
 
 @compiled
 def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced: Any, first: int) -> None:
-    """Start lane ``i`` of a block: operating point, stationary road, car at rest.
+    """Start lane ``i`` of a block: operating point, stationary road, car at rest, where it stands on the road or at zero.
 
     ``forced`` has two rows, speed and bandwidth of each environment, or no columns; where it is not NaN it replaces the draw.
     """
@@ -146,6 +146,9 @@ def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced
     if plant.road_prepare != 0:
         call(plant.road_prepare, lane, word, plant.road_table)
     call(plant.road_start, lane, word + np.uint64(4 * LANES * 4), plant.road_table)
+    heights = pointer(plant.start, 0.0)
+    for j in range(plant.states):
+        lanes[plant.car + j * LANES + i] = like(lanes, heights[j]) * lanes[LEVEL + i]
     if plant.speed_start != 0:
         call(plant.speed_start, lane, word + np.uint64(4 * LANES * 8), plant.speed_table)
 

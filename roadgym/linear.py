@@ -87,10 +87,13 @@ class Signal:
     Args:
         terms: factor of each by name.
         symbol: how pictures call it.
+        unit: in which it is told, of those that the car knows (`roadgym.cars.Car.units`); in metres velocities are over w1 and
+            accelerations over w1^2, as in the equations.
     """
 
     terms: Mapping[str, float]
     symbol: str
+    unit: str = "m"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

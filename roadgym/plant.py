@@ -169,8 +169,8 @@ class Plant:
         max_episode_steps: control intervals in an episode; 0 for no limit.
         autoreset: a key of `AUTORESET`.
         threads: number of threads; results do not depend on it. By default one a processor, where the batch is large enough.
-        units: what mean squares and speeds are told in: by default the kernel's, the road's variance and the frequency ratio 1;
-            with those in m^2 and in m/s, the results are too.
+        told: whether mean squares and speeds are told in the units of the task, or in the kernel's: those of the road's
+            variance and times in 1/w1, and the frequency ratio.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class Plant:
         max_episode_steps: int = 0,
         autoreset: str = "disabled",
         threads: int | None = None,
-        units: tuple[float, float] = (1.0, 1.0),
+        told: bool = False,
     ) -> None:
         self.task = task
         self.num_envs = num_envs
@@ -194,9 +194,9 @@ class Plant:
         self._block_size = self._car + car.rows * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
-        self._max_episode_steps, self._units = max_episode_steps, units
+        self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
         self._autoreset = AUTORESET[autoreset]
-        self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.weights), num_envs)
+        self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.reward), num_envs)
         self.started = False
 
         within(f"variance of the {road.kind} road", road.variance, "variance")
@@ -213,8 +213,10 @@ class Plant:
         infinite = divergent_terms(car, road, noise)
         self._constants: dict[str, npt.NDArray[Any]] = {
             "weights": np.array(task.weights, np.float64),
+            "square_units": task.square_units if told else np.ones(len(task.reward)),
             "shares": interval_weights(task.substeps),
             "factors": np.ascontiguousarray(car.motion.rows, np.float64),
+            "start": car.starts_on_road * car.motion.follows,
             "observed": np.array([self._observed_code(name) for name in task.signals], np.int64),
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
@@ -268,8 +270,7 @@ class Plant:
             "substep": self._substep,
             "warm_up_damping": task.warm_up_damping,
             "saturation": SATURATION,
-            "square_unit": self._units[0],
-            "speed_unit": self._units[1],
+            "speed_unit": self._speed_unit,
         }
         speeds = tuple(task.frequency_ratio(speed) for speed in task.speed)
         for name, ends in (("damping", task.damping_range), ("speed", speeds), ("bandwidth", task.bandwidth)):

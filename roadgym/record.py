@@ -20,9 +20,10 @@ PLANT = np.dtype(
         *((name, np.uint64) for name in ("road_prepare", "road_start", "road_advance", "road_table")),
         *((name, np.uint64) for name in ("speed_start", "speed_advance", "speed_table")),
         *((name, np.uint64) for name in ("car_prepare", "car_advance", "car_table", "fill_words")),
-        # addresses of 64-bit numbers: weights of the mean squares in the reward, `interval_weights`, and `Motion.rows`; and of
-        # 64-bit integers: what is observed, a row of the block or one of the codes below, and whether a mean square is infinite
-        *((name, np.uint64) for name in ("weights", "shares", "factors", "observed", "infinite")),
+        # addresses of 64-bit numbers: weights of the mean squares in the reward, their units, `interval_weights` and
+        # `Motion.rows`, and heights of the car at the start over that of the road; and of 64-bit integers: what is observed, a
+        # row of the block or one of the codes below, and whether a mean square is infinite
+        *((name, np.uint64) for name in ("weights", "square_units", "shares", "factors", "start", "observed", "infinite")),
         ("path", np.uint64),  # address of rows for the angle and the level of each substep of each block, see `Plant.trace`
         # how many of each there are, in a block where it is of rows
         *((name, np.int64) for name in ("substeps", "road_words", "speed_words", "states", "signals", "squared", "relative")),
@@ -30,7 +31,7 @@ PLANT = np.dtype(
         ("autoreset", np.int64),
         *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),
         *((name, np.float64) for name in ("bandwidth_low", "bandwidth_high", "warm_up_damping", "saturation")),
-        *((name, np.float64) for name in ("square_unit", "speed_unit")),  # in which results are told
+        ("speed_unit", np.float64),  # in which results are told
     ]
 )
 OBSERVED = ("level", "slope", "speed", "bandwidth")  # what is observed beside the signals of the car

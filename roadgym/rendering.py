@@ -169,7 +169,7 @@ class Picture:
         self.task = task
         symbols = {name: f"{signal.symbol}²" for name, signal in task.car.motion.signals.items()}
         self._cost = " + ".join(
-            symbols[name] if weight == 1 else f"{weight:g} {symbols[name]}" for name, weight in task.weights_by_name.items()
+            symbols[name] if weight == 1 else f"{weight:g} {symbols[name]}" for name, weight in task.reward_by_name.items()
         )
         self._fonts: dict[tuple[int, bool], pygame.font.Font] = {}
         self._pixels = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)

@@ -1,4 +1,4 @@
-"""The reward: minus a weighted sum of the interval's mean squares, over the variance of the road."""
+"""The reward: minus the cost, a weighted sum of the interval's mean squares over a unit."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ from .speed import SpeedNoise
 
 if not TYPE_CHECKING:
     __getattr__ = moved(__name__, MEAN_SQUARES="roadgym.cars")
+
+
+def cost_unit(car: Car, road: Road) -> float:
+    """What weighted mean squares, as they are told, are divided by to be the cost: E Z^2 of the road, or the car's own unit."""
+    return road.variance if car.cost_unit is None else car.cost_unit
 
 
 def divergent_terms(car: Car, road: Road, speed_noise: SpeedNoise | None) -> tuple[str, ...]:

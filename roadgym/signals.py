@@ -170,11 +170,12 @@ def report_block(plant: Any, lanes: Any, work: Any, results: Any, first: int, co
     Returns:
         The first environment of the block in which a number is not finite, or -1.
     """
-    weights, infinite, cost = pointer(plant.weights, 0.0), pointer(plant.infinite, np.int64(0)), signal_row(plant)
+    weights, units = pointer(plant.weights, 0.0), pointer(plant.square_units, 0.0)
+    infinite, cost = pointer(plant.infinite, np.int64(0)), signal_row(plant)
     fresh, unsound = True, np.int32(0)
     for k in range(plant.signals):
         square, weight = square_row(plant, k), like(lanes, -weights[k])
-        unsound |= copy_row(work, square, results, SQUARES + k, first, count, plant.square_unit)
+        unsound |= copy_row(work, square, results, SQUARES + k, first, count, units[k])
         if weight != 0:
             add_row(row_of(work, cost), row_of(work, square), weight, fresh)
             fresh = False

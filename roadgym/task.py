@@ -16,7 +16,7 @@ from .compiled import LaneFunction
 from .moved import moved
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
 from .record import OBSERVED
-from .reward import check_weights, divergent_terms
+from .reward import check_weights, cost_unit, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise
 
@@ -43,7 +43,7 @@ class Task:
         speed: range of mean speeds, m/s, from which each reset draws uniformly.
         bandwidth: range of road bandwidths, 1, likewise; (0, 0) on a road without one.
         damping_range: range of the action D, 1.
-        weights: weight of each mean square in the reward, in the order of `roadgym.cars.Car.mean_squares`.
+        reward: weight in the reward of each mean square as it is told, in the order of `roadgym.cars.Car.mean_squares`.
         signals: names of the observed signals, in order.
         control_interval: time between actions, s.
         substeps: substeps in a control interval.
@@ -57,7 +57,7 @@ class Task:
     speed: tuple[float, float]
     bandwidth: tuple[float, float]
     damping_range: tuple[float, float]
-    weights: tuple[float, ...]
+    reward: tuple[float, ...]
     signals: tuple[str, ...]
     control_interval: float
     substeps: int
@@ -66,9 +66,35 @@ class Task:
     precision: str
 
     @property
+    def reward_by_name(self) -> dict[str, float]:
+        """The positive weights of the reward, by mean square as it is told."""
+        return {name: weight for name, weight in zip(self.car.mean_squares, self.reward, strict=True) if weight}
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weight of each mean square in the reward, where squares are over E Z^2 of the road and times in 1/w1."""
+        relative = self.car.unit_factors**2 * (self.road.variance / self.cost_unit)
+        return tuple((np.array(self.reward) * relative).tolist())
+
+    @property
     def weights_by_name(self) -> dict[str, float]:
-        """The positive weights of the reward, by mean square."""
+        """The positive ones of `weights`, by mean square."""
         return {name: weight for name, weight in zip(self.car.mean_squares, self.weights, strict=True) if weight}
+
+    @property
+    def cost_unit(self) -> float:
+        """What the weighted mean squares, as they are told, are divided by to be the cost, minus the reward."""
+        return cost_unit(self.car, self.road)
+
+    @property
+    def square_units(self) -> npt.NDArray[np.float64]:
+        """The mean squares as they are told, where the kernel's are 1, shape (squares,)."""
+        return self.road.variance * self.car.unit_factors**2
+
+    @property
+    def speed_unit(self) -> float:
+        """The speed, m/s, at the frequency ratio 1."""
+        return self.car.natural_frequency / self.road.wavenumber
 
     @property
     def action_space(self) -> spaces.Box[np.float32]:
@@ -85,18 +111,15 @@ class Task:
 
     @property
     def signal_scale(self) -> npt.NDArray[np.float64]:
-        """What to multiply an observation with to get metres: the road's standard deviation.
+        """What to multiply an observation with to get the unit in which the car tells the signal, see `roadgym.cars.Car.units`.
 
-        In this scale velocities are over w1 and accelerations over w1^2. The operating point has scale 1: its entries are
-        nu/(1 + nu) with nu = speed * wavenumber / natural_frequency, and 2 delta/(1 + 2 delta).
+        That is the road's standard deviation for lengths, and in a car that tells all in metres for velocities over w1 and
+        accelerations over w1^2 as well. The operating point has scale 1: its entries are nu/(1 + nu) with
+        nu = speed * wavenumber / natural_frequency, and 2 delta/(1 + 2 delta).
         """
         deviation = math.sqrt(self.road.variance)
-        return np.array([1.0 if name in OPERATING_POINT else deviation for name in self.signals])
-
-    @property
-    def units(self) -> tuple[float, float]:
-        """The variance of the road, m^2, and the speed, m/s, at the frequency ratio 1: the units of the kernel."""
-        return self.road.variance, self.car.natural_frequency / self.road.wavenumber
+        factors = dict(zip(self.car.mean_squares, self.car.unit_factors.tolist(), strict=True))
+        return np.array([1.0 if name in OPERATING_POINT else deviation * factors.get(name, 1.0) for name in self.signals])
 
     def frequency_ratio(self, speed: Any) -> Any:
         """nu = speed * wavenumber / natural_frequency."""
@@ -137,6 +160,7 @@ def check_component(component: Road | SpeedNoise | Car, what: str) -> None:
             whole(f"{attribute} of {name}", getattr(component, attribute), low=0, of=of)
     if isinstance(component, Car):
         motion = component.motion
+        positive(f"unit_factors of {name}", float(component.unit_factors.min()))
         if whole(f"squared of {name}", component.squared, low=0) > len(motion.signals):
             raise ParameterError(
                 f"squared of {name} must be at most its {len(motion.signals)} signals, got {component.squared}"
@@ -264,7 +288,7 @@ class TaskParameters(TypedDict, total=False):
     speed_noise: str | Mapping[str, Any] | SpeedNoise | None
     speed: float | Sequence[float]
     bandwidth: float | Sequence[float] | None
-    damping_range: Sequence[float]
+    damping_range: Sequence[float] | None
     reward: Mapping[str, float] | None
     observation: Sequence[str] | None
     observe_operating_point: bool
@@ -283,7 +307,7 @@ def make_task(
     speed_noise: str | Mapping[str, Any] | SpeedNoise | None = None,
     speed: float | Sequence[float] = 1.0,
     bandwidth: float | Sequence[float] | None = None,
-    damping_range: Sequence[float] = (0.05, 1.0),
+    damping_range: Sequence[float] | None = None,
     reward: Mapping[str, float] | None = None,
     observation: Sequence[str] | None = None,
     observe_operating_point: bool = True,
@@ -303,8 +327,9 @@ def make_task(
         speed: mean speed, m/s, or a range (low, high) to draw from at each reset.
         bandwidth: road bandwidth, 1, or a range; the road's own by default. The noise intensity follows, so that the road's
             variance stays.
-        damping_range: range (low, high) of the damping ratio, 0 < low < high.
-        reward: weight of each mean square; {"displacement": 1.0} by default.
+        damping_range: range (low, high) of the damping ratio, 0 < low < high; the car's by default, (0.05, 1) of one mass.
+        reward: weight of each mean square, in the units in which the car tells it; the car's by default, {"displacement": 1.0}
+            of one mass and {"acceleration": 1.0} of two.
         observation: names of the observed signals; by default the states of the car (displacement and velocity), level and,
             where it exists, slope.
             An empty sequence leaves the operating point alone.
@@ -312,7 +337,7 @@ def make_task(
             they are not among them; if not, only what ``observation`` names is observed.
         car: name, mapping with the key "kind", or `Car`; the car of one mass by default.
         natural_frequency: w1 of the car of one mass, rad/s, 1 by default; in place of ``car``.
-        control_interval: time between actions, s; 0.2 / natural_frequency by default.
+        control_interval: time between actions, s; the car's by default, 0.2 / natural_frequency of one mass and 0.005 of two.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
             speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
             two, without which the mean squares are off where D switches (`roadgym.record.interval_weights`). Fewer are less
@@ -345,10 +370,11 @@ def make_task(
         bandwidths = positive_range("bandwidth", bandwidth, "bandwidth")
         for end in bandwidths:
             the_road.with_bandwidth(end)  # which a road may refuse
+    damping_range = the_car.default_damping_range if damping_range is None else damping_range
     damping = positive_range("damping_range", damping_range, "damping")
     if damping[0] == damping[1]:
         raise ParameterError(f"damping_range must be a pair (low, high) with low < high, got {shown(damping_range)}")
-    weights = check_weights({"displacement": 1.0} if reward is None else reward, the_car, the_road, noise)
+    weights = check_weights(the_car.default_reward if reward is None else reward, the_car, the_road, noise)
 
     observable = _observable(the_car, the_road, noise, bandwidths)
     if observation is None:
@@ -370,7 +396,7 @@ def make_task(
             f"observation must name a signal where the operating point is not observed, got {shown(observation)}"
         )
 
-    interval = 0.2 / w1 if control_interval is None else positive("control_interval", control_interval)
+    interval = the_car.default_control_interval if control_interval is None else positive("control_interval", control_interval)
     check_ratio("control_interval", interval, "control_interval * w1", interval * w1, "relative interval")
     warm_up = non_negative("warm_up", warm_up)
     check_ratio("warm_up", warm_up, "warm_up * w1", warm_up * w1, "relative warm-up")
@@ -415,7 +441,7 @@ def make_task(
         speed=speeds,
         bandwidth=bandwidths,
         damping_range=damping,
-        weights=tuple(weights[name] for name in the_car.mean_squares),
+        reward=tuple(weights[name] for name in the_car.mean_squares),
         signals=tuple(names),
         control_interval=interval,
         substeps=number,

@@ -91,7 +91,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             max_episode_steps=limit,
             autoreset=mode.name.lower(),
             threads=None if threads is None else whole("threads", threads, of="threads"),
-            units=self.task.units,
+            told=True,
         )
         self._same_step = mode is AutoresetMode.SAME_STEP
         self._all = np.ones(self.num_envs, np.bool_)

@@ -270,8 +270,8 @@ def test_constant_damping_costs_what_theory_says(car, damping):
         if step >= math.ceil(6 / (car.decay(damping) * task.control_interval * w1)):
             total += interval.mean_squares
     theory = analysis.mean_squares(task.road, damping=float(np.float32(damping)), speed=1.2 * w1, car=car)
-    for name, found in zip(car.mean_squares, total / steps, strict=True):
-        expected, error = float(theory[name]) / task.road.variance, found.std(ddof=1) / math.sqrt(lanes)
+    for name, unit, found in zip(car.mean_squares, task.square_units.tolist(), total / steps, strict=True):
+        expected, error = float(theory[name]) / unit, found.std(ddof=1) / math.sqrt(lanes)
         assert abs(found.mean() - expected) < 4 * error + 1e-3 * expected, name
 
 

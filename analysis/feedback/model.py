@@ -41,7 +41,7 @@ class Model:
             task.road,
             speed=task.speed[0],
             car=task.car,
-            weights=task.weights_by_name,
+            weights=task.reward_by_name,
             bounds=task.damping_range,
         )
         constant = self._system(float(best.damping))

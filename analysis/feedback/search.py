@@ -122,7 +122,7 @@ def optimal_feedback(
         "road": dataclasses.asdict(road),
         "speed": task.speed[0],
         "natural_frequency": task.car.natural_frequency,
-        "weights": task.weights_by_name,
+        "weights": task.reward_by_name,
         "bounds": [low, high],
         "control_interval": task.control_interval,
         "tolerance": tolerance,
@@ -131,14 +131,14 @@ def optimal_feedback(
         "seed": seed,
     }
     if the_car.mean_squares != MEAN_SQUARES:  # what the weights weigh is then its own affair
-        description["signals"] = {name: dict(the_car.motion.signals[name].terms) for name in task.weights_by_name}
+        description["signals"] = {name: dict(the_car.motion.signals[name].terms) for name in task.reward_by_name}
     text = json.dumps(description, sort_keys=True)
     path = None if cache is None else Path(cache) / f"feedback-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
     point: dict[str, Any] = {
         "road": road,
         "speed": task.speed[0],
         "natural_frequency": task.car.natural_frequency,
-        "weights": task.weights_by_name,
+        "weights": task.reward_by_name,
         "bounds": (low, high),
         "control_interval": task.control_interval,
     }

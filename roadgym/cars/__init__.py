@@ -10,11 +10,11 @@ from ..parameters import ParameterError, within
 from .base import Car
 from .linear import LinearCar
 from .one_mass import MEAN_SQUARES, QuarterCar
-from .two_mass import TwoMassCar
+from .two_mass import PRESETS, TwoMassCar
 
 __all__ = ["CARS", "MEAN_SQUARES", "Car", "LinearCar", "QuarterCar", "TwoMassCar", "make_car"]
 
-CARS: Registry[Car] = Registry("car", Car, {"one_mass": QuarterCar, "two_mass": TwoMassCar})
+CARS: Registry[Car] = Registry("car", Car, {"one_mass": QuarterCar, "two_mass": TwoMassCar}, PRESETS)
 
 
 def make_car(car: str | Mapping[str, Any] | Car | None, natural_frequency: float | None = None) -> Car:

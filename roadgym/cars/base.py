@@ -5,13 +5,14 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ..compiled import LaneFunction
 from ..linear import Motion
+from ..parameters import ParameterError
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from ..drawing import Canvas
@@ -44,6 +45,10 @@ class Car(abc.ABC):
     kind: str = dataclasses.field(default="", init=False)
 
     constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
+    cost_unit: ClassVar[float | None] = None  # that of the weighted mean squares in the reward; None: E Z^2 of the road
+    default_reward: ClassVar[Mapping[str, float]] = {"displacement": 1.0}
+    usual_plant: ClassVar[Mapping[str, Any]] = {}  # parameters of the environment where a command is not given them
+    starts_on_road: ClassVar[bool] = False  # does an episode start with its heights at that of the road, or at zero
     squared: ClassVar[int] = 0
     working_rows: ClassVar[int] = 0
     prepare: ClassVar[LaneFunction]
@@ -67,6 +72,35 @@ class Car(abc.ABC):
             damping: smallest and largest D that is met.
         """
         return np.zeros(1)
+
+    @property
+    def units(self) -> Mapping[str, float]:
+        """The units in which a `roadgym.linear.Signal` can be told: by name, how many of it the 1 of the equations is."""
+        w1 = self.natural_frequency
+        return {"m": 1.0, "m/s": w1, "m/s²": w1**2}
+
+    @property
+    def unit_factors(self) -> npt.NDArray[np.float64]:
+        """What makes each signal of the equations, in metres and times of 1/w1, one in its unit; shape (signals,).
+
+        Raises:
+            ParameterError: a signal in a unit that the car does not know.
+        """
+        known = self.units
+        for name, signal in self.motion.signals.items():
+            if signal.unit not in known:
+                raise ParameterError(f"unit of the signal {name!r} must be one of {', '.join(known)}, got {signal.unit!r}")
+        return np.array([known[signal.unit] for signal in self.motion.signals.values()])
+
+    @property
+    def default_damping_range(self) -> tuple[float, float]:
+        """The range of D where none is given."""
+        return (0.05, 1.0)
+
+    @property
+    def default_control_interval(self) -> float:
+        """Time between actions where none is given, s."""
+        return 0.2 / self.natural_frequency
 
     @property
     def mean_squares(self) -> tuple[str, ...]:
