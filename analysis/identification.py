@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,6 @@ LEVEL = 0.01  # of the tests by which a road is chosen
 DRAWN = 64  # profiles that are drawn of a bounded road for its standard errors
 SHAPES = (0.05, 1e3)  # of a bounded road that can be told from a sinusoid and from a Gaussian road
 LARGEST_ANGLE = 0.1  # rad, of the road or of its faster motion, between two points that are drawn
-MOST_DRAWN = 2e8  # points
 BANDWIDTHS = (1e-3, 1e3)
 FIRST_BANDWIDTHS = (0.03, 0.2, 1.0, 5.0, 25.0)  # where the search begins
 FIRST_WAVENUMBERS = 9
@@ -230,22 +229,22 @@ def _kurtosis(heights: FloatArray) -> Any:
     return np.mean(square**2, axis=-1) / np.mean(square, axis=-1) ** 2
 
 
-def _drawn(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> FloatArray | None:
-    """Profiles of a bounded road as long as the measured one, shape (DRAWN, points); None where they take too long.
+def _drawn(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> Iterator[FloatArray]:
+    """Profiles of a bounded road as long as the measured one, DRAWN in all, in batches of shape (profiles, points).
 
     Between two heights the road takes steps in which its faster motion is resolved, as the law of its higher moments needs.
     """
-    steps = math.ceil(max(1.0, road.bandwidth) * road.wavenumber * spectrum.spacing / LARGEST_ANGLE)
+    steps = _steps(road, spectrum)
     points = steps * (spectrum.points - 1) + 1
-    number = min(int(RANGES["array size"].high) // points, DRAWN)  # together
-    if number == 0 or points * DRAWN > MOST_DRAWN:
-        return None
-    spacing = spectrum.spacing / steps
-    batches = (
-        sample_road(road, spacing=spacing, points=points, number=min(number, DRAWN - seed), seed=seed)[1][:, ::steps]
-        for seed in range(0, DRAWN, number)
-    )
-    return np.concatenate(list(batches))
+    together = min(int(RANGES["array size"].high) // points, DRAWN)
+    for seed in range(0, DRAWN, together):
+        number = min(together, DRAWN - seed)
+        yield sample_road(road, spacing=spectrum.spacing / steps, points=points, number=number, seed=seed)[1][:, ::steps]
+
+
+def _steps(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> int:
+    """Of a road that is drawn, from one height to the next."""
+    return math.ceil(max(1.0, road.bandwidth) * road.wavenumber * spectrum.spacing / LARGEST_ANGLE)
 
 
 def _bounded(
@@ -257,18 +256,19 @@ def _bounded(
     shape = (2 * kurtosis - 3) / (3 - kurtosis)
     if not SHAPES[0] <= shape <= SHAPES[1]:
         return None
-    twin = second.road
-    assert isinstance(twin, GaussianRoad)
+    twin = second_order(second.fit.parameters)
     bound = math.sqrt(2 * (shape + 1) * twin.variance)
     road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=twin.bandwidth, level_bound=bound, wavenumber=twin.wavenumber)
-    drawn = _drawn(road, spectrum)
-    if drawn is None:
+    if _steps(road, spectrum) * spectrum.points > RANGES["array size"].high / 4:
         return None
     expected = spectrum.ordinates[inside] / second.fit.ratio
-    scores = (ordinates(drawn)[:, inside] / expected - 1) @ second.fit.gradient
-    twin_sigma, wavenumbers, bandwidths = second.fit.inverse_information @ scores.T
+    scores, found = [], []
+    for heights in _drawn(road, spectrum):
+        scores.append((ordinates(heights)[:, inside] / expected - 1) @ second.fit.gradient)
+        found.append(_kurtosis(less_trend(heights)))
+    twin_sigma, wavenumbers, bandwidths = second.fit.inverse_information @ np.concatenate(scores).T
     # d alpha/d k = 3/(3 - k)^2; sigma^2 = (1 + 1/alpha) times that of the twin; r0^2 = (alpha + 1)/(2 delta Omega) times it
-    curved = _kurtosis(less_trend(drawn))
+    curved = np.concatenate(found)
     shapes = 3 / (3 - kurtosis) ** 2 * (curved - curved.mean())
     away = {
         "noise_intensity": twin_sigma - shapes / (2 * shape * (shape + 1)),
