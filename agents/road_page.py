@@ -16,7 +16,7 @@ import analysis
 from roadgym.installation import needs
 from roadgym.roads import iso8608, sample_road
 
-from .figures import save_figure
+from .figure_style import save_figure
 from .measured_road import Candidate, MeasuredRoad, mapping, options, summary
 from .records import versions, write_atomically
 from .results import Picture
