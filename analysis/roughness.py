@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.cars import make_car
 from roadgym.parameters import ParameterError, positive, within
 from roadgym.roads import PowerLawRoad, iso8608
 
@@ -31,7 +31,8 @@ SHORTEST = 4.0  # spacings in the shortest wave of the band, where nothing is kn
 WAVINESS = 2.0  # of ISO 8608
 WAVINESS_LIMITS = (1.05, 8.0)
 
-SPRUNG, UNSPRUNG, SPRING, TYRE, DAMPER = 1.0, 0.15, 63.3, 653.0, 6.0  # kg, kg, N/m, N/m, N s/m
+CAR = "golden_car"
+DAMPER = 6.0  # N s/m, of that car, per kg of its body
 IRI_SPEED = 80 / 3.6  # m/s
 BASE = 0.25  # m, over which the slope is averaged
 LEAD = 11.0  # m, whose mean slope body and wheel have in the beginning
@@ -244,25 +245,20 @@ def averaged_slopes(heights: FloatArray, spacing: float) -> FloatArray:
 def golden_car(slopes: FloatArray, time: float, start: float) -> FloatArray:
     """Slope of the body less that of the wheel after each of the ``slopes``, that last for a ``time`` each; exact.
 
-    Both begin with the slope ``start``. Each mode of the car is a filter of first order.
+    Both begin with the slope ``start``. The car that drives over slopes moves in slopes; each mode is a filter of first order.
     """
     from scipy.signal import lfilter
 
-    motion: Any = np.array(
-        [
-            [0, 1, 0, 0],
-            [-SPRING / SPRUNG, -DAMPER / SPRUNG, SPRING / SPRUNG, DAMPER / SPRUNG],
-            [0, 0, 0, 1],
-            [SPRING / UNSPRUNG, DAMPER / UNSPRUNG, -(SPRING + TYRE) / UNSPRUNG, -DAMPER / UNSPRUNG],
-        ]
-    )
-    rates, modes = np.linalg.eig(motion)
+    car = make_car(CAR)
+    motion, w1 = car.motion, car.natural_frequency
+    rates, modes = np.linalg.eig(w1 * (motion.drift + DAMPER / w1 * motion.damper))  # 2 D = DAMPER/w1
     inverse = np.linalg.inv(modes)
-    entry, begin = inverse @ [0, 0, 0, TYRE / UNSPRUNG], inverse @ [start, 0, start, 0]
+    entry, begin = inverse @ (w1 * motion.level_entry), inverse @ (start * motion.follows)
+    seen = motion.rows[list(motion.signals).index("travel"), : len(motion.states)] @ modes
     found = np.zeros(slopes.size)
     for k in np.flatnonzero(rates.imag > 0):  # of each pair of conjugate modes one
         keep = np.exp(rates[k] * time)
         gain = np.expm1(rates[k] * time) / rates[k] * entry[k]
         mode, _ = lfilter([gain], [1, -keep], slopes.astype(complex), zi=[keep * begin[k]])
-        found += 2 * ((modes[0, k] - modes[2, k]) * mode).real
+        found += 2 * (seen[k] * mode).real
     return found
