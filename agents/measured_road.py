@@ -145,11 +145,12 @@ def _shown(value: float, error: float) -> str:
 
 
 def _relative(value: float, relative: float) -> str:
+    """A positive value with its standard error, given over it; both to the second digit of the error."""
     if relative > 1:
         return f"{value:.1g} (unsure)"
-    error = f"{value * relative:.2g}"
-    digits = max(2, 2 + math.floor(math.log10(1 / relative))) if relative > 0 else DIGITS
-    return f"{value:.{min(digits, DIGITS)}g} ± {error}"
+    error = value * relative
+    digits = math.floor(math.log10(value)) - math.floor(math.log10(error)) + 2
+    return f"{value:.{digits}g} ± {error:.2g}"
 
 
 def mapping(road: Road) -> dict[str, Any]:

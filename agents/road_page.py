@@ -27,7 +27,7 @@ with needs("report"):
 TEMPLATE = Path(__file__).with_name("road_page.html")
 MEASURED, DRIVEN, LAW, STANDARD = "#000000", "#D55E00", "#0072B2", "#009E73"  # Okabe and Ito's, each with its own line style
 CONFIDENCE = 0.95
-MOST_POINTS = 4000  # of a line in a picture
+MOST_POINTS = 2500  # heights in a picture
 
 
 def write(measured: MeasuredRoad, folder: Path) -> list[Path]:
@@ -50,7 +50,7 @@ def draw(measured: MeasuredRoad, folder: Path) -> list[Picture]:
         "profile": (
             draw_profile,
             "The measured profile, and under it on the same scales a generated road, the one to drive; of both without waves "
-            "longer than those that were fitted.",
+            f"longer than those that were fitted, and no more than {MOST_POINTS} heights.",
         ),
         "residuals": (
             draw_residuals,
@@ -131,12 +131,11 @@ def draw_profile(measured: MeasuredRoad, narrow: bool) -> Figure:
     spacing, points = measured.profile.spacing, measured.profile.heights.size
     distance = spacing * np.arange(points)
     _, generated = sample_road(measured.road, spacing=spacing, points=points)
-    step = max(1, points // MOST_POINTS)
     for axis, heights, colour, title in (
         (axes[0], measured.profile.heights, MEASURED, f"measured, waves up to {1 / measured.roughness.band[0]:.3g} m"),
         (axes[1], generated[0], DRIVEN, f"generated: {label(measured.candidates[0])}"),
     ):
-        axis.plot(distance[::step], 1000 * short_waves(heights, measured)[::step], color=colour, linewidth=0.8)
+        axis.plot(distance[:MOST_POINTS], 1000 * short_waves(heights, measured)[:MOST_POINTS], color=colour, linewidth=0.8)
         axis.set_title(title, fontsize=10, loc="left")
         axis.set_ylabel("height, mm")
     axes[1].set_xlabel("distance, m")
