@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import analysis
+from analysis.identification import steps_between
 from roadgym.installation import needs
 from roadgym.roads import iso8608, sample_road
 
@@ -128,14 +129,15 @@ def draw_spectrum(measured: MeasuredRoad, narrow: bool) -> Figure:
 def draw_profile(measured: MeasuredRoad, narrow: bool) -> Figure:
     """The measured heights and those of a generated road, on the same scales."""
     figure, axes = panels(narrow, rows=2, height=5.0, sharex=True, sharey=True)
-    spacing, points = measured.profile.spacing, measured.profile.heights.size
+    spacing, points = measured.profile.spacing, min(measured.profile.heights.size, MOST_POINTS)
     distance = spacing * np.arange(points)
-    _, generated = sample_road(measured.road, spacing=spacing, points=points)
+    steps = steps_between(measured.road, spacing)
+    _, generated = sample_road(measured.road, spacing=spacing / steps, points=(points - 1) * steps + 1)
     for axis, heights, colour, title in (
         (axes[0], measured.profile.heights, MEASURED, f"measured, waves up to {1 / measured.roughness.band[0]:.3g} m"),
-        (axes[1], generated[0], DRIVEN, f"generated: {label(measured.candidates[0])}"),
+        (axes[1], generated[0, ::steps], DRIVEN, f"generated: {label(measured.candidates[0])}"),
     ):
-        axis.plot(distance[:MOST_POINTS], 1000 * short_waves(heights, measured)[:MOST_POINTS], color=colour, linewidth=0.8)
+        axis.plot(distance, 1000 * short_waves(heights, measured)[:points], color=colour, linewidth=0.8)
         axis.set_title(title, fontsize=10, loc="left")
         axis.set_ylabel("height, mm")
     axes[1].set_xlabel("distance, m")

@@ -232,9 +232,9 @@ def _kurtosis(heights: FloatArray) -> Any:
 def _drawn(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> Iterator[FloatArray]:
     """Profiles of a bounded road as long as the measured one, DRAWN in all, in batches of shape (profiles, points).
 
-    Between two heights the road takes steps in which its faster motion is resolved, as the law of its higher moments needs.
+    Between two heights the road takes steps, which the law of its higher moments needs.
     """
-    steps = _steps(road, spectrum)
+    steps = steps_between(road, spectrum.spacing)
     points = steps * (spectrum.points - 1) + 1
     together = min(int(RANGES["array size"].high) // points, DRAWN)
     for seed in range(0, DRAWN, together):
@@ -242,9 +242,9 @@ def _drawn(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> Iterator[Floa
         yield sample_road(road, spacing=spectrum.spacing / steps, points=points, number=number, seed=seed)[1][:, ::steps]
 
 
-def _steps(road: MultiplicativeRoad, spectrum: ProfileSpectrum) -> int:
-    """Of a road that is drawn, from one height to the next."""
-    return math.ceil(max(1.0, road.bandwidth) * road.wavenumber * spectrum.spacing / LARGEST_ANGLE)
+def steps_between(road: Road, spacing: float) -> int:
+    """Steps of a road that is drawn from one height to the next, so that its faster motion is resolved."""
+    return math.ceil(max(1.0, getattr(road, "bandwidth", 0.0)) * road.wavenumber * spacing / LARGEST_ANGLE)
 
 
 def _bounded(
@@ -259,7 +259,7 @@ def _bounded(
     twin = second_order(second.fit.parameters)
     bound = math.sqrt(2 * (shape + 1) * twin.variance)
     road = MultiplicativeRoad.from_shape(shape=shape, bandwidth=twin.bandwidth, level_bound=bound, wavenumber=twin.wavenumber)
-    if _steps(road, spectrum) * spectrum.points > RANGES["array size"].high / 4:
+    if steps_between(road, spectrum.spacing) * spectrum.points > RANGES["array size"].high / 4:
         return None
     expected = spectrum.ordinates[inside] / second.fit.ratio
     scores, found = [], []
