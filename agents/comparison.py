@@ -16,7 +16,7 @@ from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controll
 from .evaluation import Predictor, evaluate
 from .names import name_folders, title
 from .progress import work_progress
-from .records import make_folder, plain, versions, write_atomically
+from .records import lasting, make_folder, plain, versions, write_atomically
 from .report import (
     above,
     adjusted_by,
@@ -192,7 +192,7 @@ def compare(
     rows, references = make_rows(task, learned, evaluations)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     configuration = {
-        "environment": plain(plant),
+        "environment": lasting(plant),
         "episodes": episodes,
         "seed": seed,
         "confidence": CONFIDENCE,

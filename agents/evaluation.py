@@ -220,8 +220,9 @@ def evaluate(
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
     w1 = task.car.natural_frequency
     lasts = 300 / w1 if duration is None else positive("duration", duration)
-    # waves remember their start as long as the car does
-    forgotten = (5 if task.road.lines is None else 10) / (min(map(task.car.decay, task.damping_range)) * w1)
+    # what has no noise remembers its start as long as the car does
+    repeats = task.road.lines is not None or task.road.periodic is not None
+    forgotten = (10 if repeats else 5) / (min(map(task.car.decay, task.damping_range)) * w1)
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:

@@ -93,6 +93,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "array entry": Range(-1e50, 1e50, "level, slope and frequency in closed forms"),
         "lag": Range(0.0, 1e50, "lag of an autocovariance, s"),
         "angular rate": Range(1e-12, 1e12, "speed * wavenumber of a spectral density, rad/s"),
+        "lines": Range(1, 4_000_000, "lines of the spectrum of a profile that move a car, at one speed"),
         "operating points": Range(0, 100_000, "operating points whose best damping is asked for together"),
         "driven points": Range(0, 1_000, "operating points that are simulated together"),
         "relative_error": Range(1e-4, 1.0, "standard error over the mean, or tolerance, of what is simulated"),
