@@ -14,7 +14,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from .certification import Certificate, certify
-from .feedback import OptimalFeedback, Refinement, optimal_feedback
+from .feedback import Feedback, OptimalFeedback, Refinement, WhiteRoadFeedback, optimal_feedback
 from .optimum import Optimum, optimal_damping
 from .paper.euler_maruyama import Estimate, Simulation, simulate
 from .paper.exponents import Stability, simulate_stability
@@ -26,6 +26,7 @@ from .roads import density, marginal_density, spectral_density
 __all__ = [
     "Certificate",
     "Estimate",
+    "Feedback",
     "MeanSquares",
     "MomentSystem",
     "OptimalFeedback",
@@ -33,6 +34,7 @@ __all__ = [
     "Refinement",
     "Simulation",
     "Stability",
+    "WhiteRoadFeedback",
     "certify",
     "covariance",
     "critical_noise",

@@ -104,7 +104,9 @@ def test_rewards_average_to_the_cost_saved():
         ({"road": "gaussian"}, True),
         ({"road": "multiplicative"}, True),
         ({"road": "harmonic"}, False),
-        ({"road": "first_order"}, False),
+        ({"road": "first_order"}, True),
+        ({"road": "iso_c", "speed": 20.0, "car": "two_mass"}, True),
+        ({"road": "two_corner"}, False),
         ({"road": "gaussian", "speed_noise": "low_pass"}, False),
     ],
 )
