@@ -66,7 +66,8 @@ def drive(
     forgotten = 5 / (task.damping_range[0] * task.car.natural_frequency)
     skipped = math.ceil(max(forgotten, least_transient(task)) / task.control_interval)
     constants = control_dampings(task, skipped * task.control_interval, LANES_DRIVEN)
-    expected = np.array(task.reward) @ expected_squares(task, constants, task.speed[0])
+    weights = np.array(task.reward)
+    expected = weights[weights > 0] @ expected_squares(task, constants, task.speed[0])[weights > 0]  # others may be infinite
     rivals = [start()[0] for _ in constants]
     held = [np.full(LANES_DRIVEN, constant, np.float32) for constant in constants]
     controls = np.zeros((len(constants), LANES_DRIVEN))
