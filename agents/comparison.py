@@ -212,6 +212,7 @@ def compare(
         "confidence": CONFIDENCE,
         "parameters": {name: rival.parameters for name, rival in rivals.items() if rival.parameters},
         "control_variates": evaluations["analytic_optimum"].control_variates,
+        "balances": evaluations["analytic_optimum"].balances,
         "best_known_feedback": references,
         "agents": {name: [plain(getattr(agent, "description", None)) for agent in seeds] for name, seeds in named.items()},
         "versions": versions(),

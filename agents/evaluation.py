@@ -1,6 +1,7 @@
 """Driving controllers over the same noise, and what that costs, with standard errors.
 
-Constant dampings on the same roads, whose costs theory knows, serve as control variates: see `analysis.control_variates`.
+Constant dampings on the same roads, whose costs theory knows, serve as control variates, and on rough roads balances that hold
+under every rule: see `analysis.control_variates`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from analysis.control_variates import adjust, control_dampings, expected_squares, least_transient
+from analysis.control_variates import adjust, balances, control_dampings, expected_squares, least_transient
+from analysis.identities import rows_of, watched
 from roadgym.parameters import ParameterError, non_negative, positive, whole
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
@@ -62,6 +64,7 @@ class Evaluation:
         switches: crossings of the middle of the damping range a second, shape (points,).
         adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
         control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
+        balances: names of the identities that served, see `analysis.identities`.
     """
 
     points: tuple[OperatingPoint, ...]
@@ -71,6 +74,7 @@ class Evaluation:
     adjusted_costs: npt.NDArray[np.float64]
     adjusted_squares: npt.NDArray[np.float64]
     control_variates: tuple[float, ...] = ()
+    balances: tuple[str, ...] = ()
 
     @property
     def mean(self) -> npt.NDArray[np.float64]:
@@ -91,7 +95,7 @@ class Evaluation:
     def degrees_of_freedom(self) -> int:
         """Those of the standard error: the episodes less the mean and the coefficients of the control variates."""
         episodes: int = self.costs.shape[1]
-        return episodes - 1 - len(self.control_variates)
+        return episodes - 1 - len(self.control_variates) - len(self.balances)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,19 +229,28 @@ def evaluate(
 
     number = episodes * len(points)
     observed = dict.fromkeys(signal for controller in controllers.values() for signal in observed_by(controller, task))
-    envs = QuarterCarVectorEnv(number, max_episode_steps=None, **{**environment, "observation": list(observed)})
+    constants = control_dampings(task, skipped * task.control_interval, episodes)
+    known = balances(task, len(constants), episodes) if constants else []  # they need as long a start to be forgotten
+    more = rows_of(known)
+    plant = {**environment, "observation": list(observed), "reward": task.reward_by_name}
+    if more:
+        plant = {name: value for name, value in plant.items() if name != "natural_frequency"} | {"car": watched(task.car, more)}
+    envs = QuarterCarVectorEnv(number, max_episode_steps=None, **plant)
     for controller in controllers.values():
         answers(controller, task)  # what cannot drive is told at once
     options: dict[str, Any] = {"speed": np.repeat([point.speed for point in points], episodes)}
     if task.bandwidth[1] > 0:
         options["bandwidth"] = np.repeat([point.bandwidth for point in points], episodes)
     middle = np.float32(sum(task.damping_range) / 2)
-    shape, names = (len(points), episodes), task.car.mean_squares
+    shape, names = (len(points), episodes), (*task.car.mean_squares, *more)
+    relative = names.index(task.car.motion.relative)
+    ratios = np.array([task.frequency_ratio(point.speed) for point in points])[:, None]
 
     def driven(name: str, controller: Predictor) -> tuple[npt.NDArray[np.float64], ...]:
-        """Costs, squares and switches, as of `Evaluation`."""
+        """Costs, squares and switches, as of `Evaluation`, with what `more` are of; and the power of the damper."""
         turn = next(turns)
         total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
+        power = np.zeros(number)
         firm = np.zeros(number, np.bool_)
         steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options, task)
         for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
@@ -246,6 +259,7 @@ def evaluate(
                 total -= rewards
                 for square, signal in zip(squares, names, strict=True):
                     square += infos[signal]
+                power += 2 * infos["damping"] * infos[names[relative]]
                 switches += firm != was_firm
             if report and (step % 50 == 49 or step == skipped + measured - 1):
                 report(f"driving {turn} of {len(constants) + len(controllers)}: {title(name)}", step + 1, skipped + measured)
@@ -253,20 +267,30 @@ def evaluate(
             (total / measured).reshape(shape),
             (squares / (measured * task.cost_unit)).reshape(-1, *shape),
             switches.reshape(shape).mean(axis=1) / (measured * task.control_interval),
+            (power / (measured * task.square_units[relative])).reshape(shape),
         )
 
-    turns = itertools.count(1)
-    constants = control_dampings(task, skipped * task.control_interval, episodes)
-    controls = np.array([driven(f"constant D = {damping:.2g}", _Constant(damping))[1] for damping in constants])
-    theory = [expected_squares(task, constants, point.speed, point.bandwidth) for point in points] if constants else []
+    turns, own, edges = itertools.count(1), len(task.reward), np.cumsum([0, *(len(each.rows) for each in known)])
+    controls = [driven(f"constant D = {damping:.2g}", _Constant(damping))[1][:own] for damping in constants]
+    expected = np.empty((len(points), own, len(constants)))
+    for k, point in enumerate(points) if constants else ():
+        expected[k] = expected_squares(task, constants, point.speed, point.bandwidth)
     result = {}
     for name, controller in controllers.items():
-        costs, squares, switches = driven(name, controller)
+        costs, squares, switches, power = driven(name, controller)
+        watch = squares[own:] * (task.cost_unit / task.road.variance)
+        found = [
+            each.left(watch[low:high], power, ratios)
+            for each, (low, high) in zip(known, itertools.pairwise(edges), strict=True)
+        ]
+        squares = squares[:own]
         adjusted_costs, adjusted_squares = costs.copy(), squares.copy()
-        for k, expected in enumerate(theory):
-            for n, weight in enumerate(task.reward):
-                if np.isfinite(expected[n]).all():
-                    adjusted_squares[n, k] = adjust(squares[n, k], controls[:, n, k], expected[n])
-                    adjusted_costs[k] += weight * (adjusted_squares[n, k] - squares[n, k])
-        result[name] = Evaluation(points, costs, squares, switches, adjusted_costs, adjusted_squares, constants)
+        for (k, n), _ in np.ndenumerate(np.empty((len(points), own))):
+            if constants and np.isfinite(expected[k, n]).all() and np.isfinite(squares[n, k]).all():
+                means, sizes = np.append(expected[k, n], np.zeros(len(known))), [terms[k].mean() for _, terms in found]
+                variates = [*(control[n, k] for control in controls), *(left[k] for left, _ in found)]
+                adjusted_squares[n, k] = adjust(squares[n, k], np.array(variates), means, np.append(expected[k, n], sizes))
+                adjusted_costs[k] += task.reward[n] * (adjusted_squares[n, k] - squares[n, k])
+        served = tuple(each.name for each in known)
+        result[name] = Evaluation(points, costs, squares, switches, adjusted_costs, adjusted_squares, constants, served)
     return result

@@ -95,14 +95,14 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
             else "One training seed; the intervals do not hold what another seed would change."
         )
         found.append((name, " ".join([*([given] if given else []), training])))
-    variates = comparison.configuration.get("control_variates")
+    variates, balances = (comparison.configuration.get(name, ()) for name in ("control_variates", "balances"))
     if variates:
         away = [(row.driven_cost - row.theory) / row.driven_standard_error for row in comparison.rows if row.theory is not None]
         known = "the one cost of constant D is" if len(away) == 1 else f"the {len(away)} costs of constant D are"
         found.append(
             (
                 "less noise",
-                f"{adjusted_by(variates)} As driven, without that adjustment, {known} within "
+                f"{adjusted_by(variates, balances)} As driven, without that adjustment, {known} within "
                 f"{max(map(abs, away)):.1f} standard errors of theory.",
             )
         )
@@ -164,12 +164,15 @@ def theory_given(agent: Predictor) -> str | None:
     return f"learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
 
 
-def adjusted_by(control_variates: Sequence[float]) -> str:
-    """What the control variates are, in a sentence."""
+def adjusted_by(control_variates: Sequence[float], balances: Sequence[str] = ()) -> str:
+    """What the control variates are, in a sentence or two."""
     dampings = ", ".join(f"{damping:.2g}" for damping in control_variates)
+    more = " So do balances of the drive itself, which every rule must keep." if balances else ""
     if len(control_variates) == 1:
-        return f"A constant damping on the same roads, whose cost theory knows, serves as control variate: D = {dampings}."
-    return f"Constant dampings on the same roads, whose costs theory knows, serve as control variates: D = {dampings}."
+        return (
+            f"A constant damping on the same roads, whose cost theory knows, serves as control variate: D = {dampings}.{more}"
+        )
+    return f"Constant dampings on the same roads, whose costs theory knows, serve as control variates: D = {dampings}.{more}"
 
 
 def mean_gap_closed(comparison: Comparison, name: str) -> str:

@@ -13,7 +13,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .certification import Certificate, certify
+from .certificate import Certificate
+from .certification import certify
 from .feedback import Feedback, OptimalFeedback, Refinement, WhiteRoadFeedback, optimal_feedback
 from .optimum import Optimum, optimal_damping
 from .paper.euler_maruyama import Estimate, Simulation, simulate

@@ -3,7 +3,9 @@
 Road, at the given speed: the variances E Z^2 and E U^2; the spectral density; the law of the level; its bound. At half and
 double speed: the spectral density, and that the law is still the same. Car: the stationary mean squares; those where D
 alternates between a soft and a firm level, whose covariance is periodic; and those where the skyhook rule switches D, against
-what theory expects of each interval, given the state in which it began (`analysis.sampling.Switching`).
+what theory expects of each interval, given the state in which it began (`analysis.sampling.Switching`). Wherever D switches,
+the balances of two forms and the power of the damper, which are known whatever the rule (`analysis.identities`); the rule of a
+controller, such as a learned one, can be among them.
 
 *Spectral density.* The measured figure is a periodogram under Hann's window, averaged over lanes. The expected one is its exact
 mean, the spectrum as the same record shows it, sum over lags k of (window * window)(k) R(k) cos(w k) with the autocovariance R.
@@ -18,10 +20,8 @@ however the lines depend on each other; means over lanes are taken for normal.
 from __future__ import annotations
 
 import dataclasses
-import json
+import functools
 import math
-import re
-import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -36,111 +36,16 @@ from roadgym.task import check_plant
 
 from .autocovariance import autocovariance as autocovariance
 from .autocovariance import expected_periodogram, no_closed_form
+from .certificate import CAR_TOLERANCE, FALSE_ALARM_RATE, ROAD_TOLERANCE, Certificate, Line
 from .checks import FloatArray
 from .response import mean_squares, needs_simulation
 from .roads import level_bound, marginal_density
-from .sampling import Samples, Switching, drive
+from .sampling import Driven, Driver, Samples, Switching, drive
 
-FALSE_ALARM_RATE = 1e-3  # probability, at most, that a sound plant does not pass
 FEWEST_LANES = 1024  # below, means of squares over lanes are too skew for the normal law far out in its tails
-ROAD_TOLERANCE = 1e-3  # what rounding and tables may move the figures of a road that is exact in law
-CAR_TOLERANCE = 5e-3  # what the car's scheme promises
 SOFT = 0.25  # of the damping: the soft level where D switches
 LAW_CELLS = 8192
-WIDTH = 80  # columns of the table
-SHORTER = {  # names of lines in the table
-    r"^spectral density at ": "PSD, ",
-    r", Kolmogorov-Smirnov distance$": " (KS distance)",
-    r"^law at double against half speed": "law, 2 v against v/2",
-    r"^mean square of the (.*) \(": r"\1, constant (",
-    r" with (?:D )?(alternating|skyhook) \(": r", \1 (",
-}
 FREQUENCIES = (0.5, 1.0, 2.0)  # of the spectral density, over the angular rate of the road, wavenumber * speed
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Line:
-    """One figure of a certificate.
-
-    Attributes:
-        name: what it is, with its unit.
-        measured: the figure of the simulation.
-        expected: that of theory; of a Kolmogorov-Smirnov distance, its mean on a sound plant; of a bound, the bound.
-        standard_error: of measured less expected, from independent lanes; None for a bound, which is exact. On an ellipse the
-            expected figure has an error too, that of the road's variance.
-        tolerance: relative bias that a sound plant may have.
-        distance: measured less expected, in standard errors; None for a bound.
-        p_value: probability of at least this distance, in either direction, on a plant whose bias is the tolerance (of a
-            Kolmogorov-Smirnov distance: on a sound plant); None for a bound.
-        passed: the verdict.
-    """
-
-    name: str
-    measured: float
-    expected: float
-    standard_error: float | None = None
-    tolerance: float = 0.0
-    distance: float | None = None
-    p_value: float | None = None
-    passed: bool
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Certificate:
-    """All lines of one plant.
-
-    Attributes:
-        plant: road and speed noise, in words.
-        drive: how the plant was driven, in words.
-        significance: p-value below which a line fails.
-        lines: the figures.
-        left_out: what has no closed form on this plant, and why.
-    """
-
-    plant: str
-    drive: str
-    significance: float
-    lines: tuple[Line, ...]
-    left_out: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Does every line pass?"""
-        return all(line.passed for line in self.lines)
-
-    def table(self) -> str:
-        """The certificate as text of `WIDTH` columns, with shorter names of the lines."""
-        rows = [("", "measured", "expected", "error", "p", ""), *(_cells(line) for line in self.lines)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        room = min(widths[0], WIDTH - sum(2 + width for width in widths[1:]))
-        text = [*_wrapped(self.plant), *_wrapped(self.drive), ""]
-        for name, *cells in rows:
-            *above, last = textwrap.wrap(name, room, subsequent_indent="  ") or [""]
-            padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-            text += [*above, "  ".join([last.ljust(room), *padded]).rstrip()]
-        failed = sum(not line.passed for line in self.lines)
-        text += [
-            "",
-            f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
-            *_wrapped(
-                "error: standard error of measured less expected, from independent lanes. p: p-value, which allows for a bias "
-                f"of {100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car. A line fails where it is "
-                f"below {self.significance:.2g}; a sound plant fails any with a probability of at most {FALSE_ALARM_RATE:g}. "
-                "PSD: power spectral density. KS: Kolmogorov-Smirnov. Mean squares are those of constant D, of D alternating "
-                "between two levels, and of the skyhook rule."
-            ),
-        ]
-        return "\n".join([*text, *(line for reason in self.left_out for line in _wrapped(f"Left out: {reason}."))])
-
-    def to_json(self) -> str:
-        """The certificate as JSON; null for figures that a line does not have, or that are not finite."""
-
-        def finite(value: Any) -> Any:
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
-        data = dataclasses.asdict(self) | {"passed": self.passed}
-        data["lines"] = [{name: finite(value) for name, value in line.items()} for line in data["lines"]]
-        return json.dumps(data, indent=2)
 
 
 def certify(
@@ -153,6 +58,7 @@ def certify(
     car: str | Mapping[str, Any] | Car | None = None,
     seed: int = 0,
     lanes: int = 16384,
+    driver: Driver | None = None,
     report: Callable[[str, int, int], None] | None = None,
 ) -> Certificate:
     """Drive a plant and compare it with theory, line by line; see the module's docstring.
@@ -166,6 +72,8 @@ def certify(
         car: a car, or its name or mapping; the car of one mass by default.
         seed: fixes the noise.
         lanes: independent cars at each speed; standard errors fall as its root.
+        driver: a controller for this plant, whose task tells its control interval, its range of D and what it observes; the
+            plant is certified under its rule too.
         report: called as ``report(what, intervals done, intervals in all)`` now and then.
 
     Returns:
@@ -184,7 +92,7 @@ def certify(
         raise ParameterError(f"lanes must be at least {FEWEST_LANES} to have a standard error, got {lanes}")
 
     try:
-        lines, left_out = _compared(road, speed_noise, speed, damping, the_car, seed, lanes, report)
+        lines, left_out = _compared(road, speed_noise, speed, damping, the_car, seed, lanes, driver, report)
     except PlantError as error:
         lines, left_out = (
             [Line(name="numbers that are not finite", measured=math.nan, expected=0.0, passed=False)],
@@ -213,6 +121,7 @@ def _compared(
     car: Car,
     seed: int,
     lanes: int,
+    driver: Driver | None,
     report: Callable[[str, int, int], None] | None,
 ) -> tuple[list[Line], list[str]]:
     """The lines, without their verdicts, and what is left out."""
@@ -279,6 +188,7 @@ def _compared(
         lanes=lanes,
         seed=int(seeds[3]),
         uncertainty=uncertainty,
+        driver=driver,
         report=report,
     )
 
@@ -338,6 +248,7 @@ def _switching_lines(
     lanes: int,
     seed: int,
     uncertainty: float,
+    driver: Driver | None,
     report: Callable[[str, int, int], None] | None,
 ) -> list[Line]:
     """Mean squares of the car where D switches."""
@@ -349,38 +260,78 @@ def _switching_lines(
         left_out.append(f"{what} ({no_closed_form(road, None)})")
         return []
     switching = Switching(road, damping=damping, speed=speed, car=car, lanes=lanes, seed=seed)
-    lines = []
-    ways = {"D alternating": switching.alternate, "skyhook": switching.skyhook}
-    if not switching.knows_state:
+    ways: dict[str, Callable[..., Driven]] = {"D alternating": switching.alternate}
+    if switching.knows_skyhook and switching.knows_state:
+        ways["skyhook"] = switching.skyhook
+    else:
         why = (
             "of which the plant shows a part, or whose conditional moments are not known, or which has no velocity for skyhook"
         )
         left_out.append(f"{what} by the state ({why})")
-        del ways["skyhook"]
-    for way, drive_way in ways.items():
-        measured, expected = drive_way(None if report is None else _at(report, f"with {way}"))
-        for term, found, figures in zip(switching.names, measured, expected, strict=True):
-            figure = float(np.mean(figures))
-            name = f"{term.replace('_', ' ')} with {way} ({_square(car, term)})"
-            # lane by lane, what theory expects takes most of the noise out
-            lines.append(_moment(name, found - figures + figure, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
+    runs = {way: (switching, run) for way, run in ways.items()}
+    if driver is not None:
+        task = driver.task
+        followed = Switching(
+            road,
+            damping=task.damping_range,
+            speed=speed,
+            car=car,
+            lanes=lanes,
+            seed=seed,
+            control_interval=task.control_interval,
+            observation=task.signals,
+        )
+        runs["the controller"] = followed, functools.partial(followed.follow, driver)
+    lines = []
+    for way, (plant, run) in runs.items():
+        driven = run(report=None if report is None else _at(report, f"with {way}"))
+        if driven.expected is not None:
+            for term, found, figures in zip(plant.names, driven.mean_squares, driven.expected, strict=True):
+                figure = float(np.mean(figures))
+                name = f"{term.replace('_', ' ')} with {way} ({_square(car, term)})"
+                # lane by lane, what theory expects takes most of the noise out
+                lines.append(_moment(name, found - figures + figure, figure, tolerance=CAR_TOLERANCE, uncertainty=uncertainty))
+        for identity, left, terms in zip(plant.identities, *driven.rates, strict=True):
+            if identity.power:
+                unit, name = _power_unit(road, car)
+                figures = unit * driven.power
+                expected = float(np.mean(figures + unit * left))
+                lines.append(_moment(f"{name} with {way}", expected - unit * left, expected, uncertainty=uncertainty))
+            else:
+                name = f"balance of {identity.name.replace('_', ' ')} with {way} (1)"
+                lines.append(_moment(name, left / terms.mean(), 0.0, tolerance=ROAD_TOLERANCE, unit=1.0))
     return lines
 
 
-def _moment(
-    name: str, figures: FloatArray, expected: float, *, tolerance: float = ROAD_TOLERANCE, uncertainty: float = 0.0
-) -> Line:
-    """The mean of independent figures, shape (lanes,), against what is expected, which is positive.
+def _power_unit(road: Road, car: Car) -> tuple[float, str]:
+    """The power of the damper where it is 1 in the equations, and how it is told; per kilogram of the body without newtons."""
+    w1, newton = car.natural_frequency, car.units.get("N")
+    if newton is None:
+        return road.variance * w1**3, "power of the damper (W/kg)"
+    return road.variance * w1 * newton, "power of the damper (W)"
 
-    ``uncertainty`` is the relative standard error of what is expected.
+
+def _moment(
+    name: str,
+    figures: FloatArray,
+    expected: float,
+    *,
+    tolerance: float = ROAD_TOLERANCE,
+    uncertainty: float = 0.0,
+    unit: float | None = None,
+) -> Line:
+    """The mean of independent figures, shape (lanes,), against what is expected.
+
+    ``uncertainty`` is the relative standard error of what is expected; ``unit`` what errors are relative to, if not to that.
     """
     from scipy.stats import norm
 
     measured = float(figures.mean())
     # on the harmonic road a figure may be the same in every lane, but for rounding
-    least = max(uncertainty, float(np.finfo(np.float64).eps)) * expected
+    unit = expected if unit is None else unit
+    least = max(uncertainty, float(np.finfo(np.float64).eps)) * unit
     error = math.hypot(float(figures.std(ddof=1)) / math.sqrt(figures.size), least)
-    difference, allowed = measured - expected, tolerance * expected
+    difference, allowed = measured - expected, tolerance * unit
     return Line(
         name=name,
         measured=measured,
@@ -428,17 +379,3 @@ def _words(component: Road | SpeedNoise | Car) -> str:
 
 def _at(report: Callable[[str, int, int], None], what: str) -> Callable[[int, int], None]:
     return lambda done, total: report(what, done, total)
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
-
-
-def _cells(line: Line) -> tuple[str, ...]:
-    """A row of the table."""
-    name, errors = line.name, ("exact", "")
-    for pattern, shorter in SHORTER.items():
-        name = re.sub(pattern, shorter, name)
-    if line.standard_error is not None and line.p_value is not None:
-        errors = (f"{line.standard_error:.2g}", f"{line.p_value:.2g}")
-    return name, f"{line.measured:.5g}", f"{line.expected:.5g}", *errors, "pass" if line.passed else "FAIL"

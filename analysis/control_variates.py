@@ -11,6 +11,10 @@ mean to first order in 1/episodes. Here b_i is found without episode i, so b_i a
 whatever the law of the costs. The values so adjusted are uncorrelated to first order in 1/episodes, and scatter by what the
 errors of b_i add: their standard error is that of a mean.
 
+On a road whose rate is white noise the controller's own drive has figures of known mean, whatever the rule: the balances and
+the power of `analysis.identities`. There they tell more than constant dampings, as the road gives all its power to the damper,
+and serve beside them. On smooth roads they add nothing, and do not serve.
+
 What the exact means must be worth:
 
 - *Start.* When free motions have fallen by exp(-SETTLED), which one mass takes SETTLED/(D natural_frequency) for, a start at
@@ -33,6 +37,7 @@ from roadgym.parameters import RANGES
 from roadgym.task import Task
 
 from .checks import FloatArray
+from .identities import Identity, identities
 from .response import has_closed_form, mean_squares, needs_simulation
 
 MOST = 4  # control variates at once; more take out nothing more
@@ -101,17 +106,27 @@ def expected_squares(task: Task, dampings: tuple[float, ...], speed: float, band
     return np.array(list(found.values())) / task.cost_unit
 
 
-def adjust(samples: FloatArray, controls: FloatArray, means: FloatArray) -> FloatArray:
+def balances(task: Task, constants: int, samples: int) -> list[Identity]:
+    """The identities that serve as control variates for ``samples`` episodes, beside as many ``constants``; see above."""
+    road = task.road.shaping_filter()
+    if road is None or task.road.has_slope or task.speed_noise is not None:
+        return []
+    found = identities(road, task.car.motion, float(task.frequency_ratio(task.speed[0])))
+    return found[: max(samples // SAMPLES_EACH - constants, 0)]
+
+
+def adjust(samples: FloatArray, controls: FloatArray, means: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
     """``samples``, shape (n,), less what ``controls``, shape (k, n), with the exact ``means``, shape (k,), tell of their luck.
 
-    The mean of the result estimates the mean of the samples without bias; see the module's docstring.
+    The mean of the result estimates the mean of the samples without bias; see the module's docstring. The scheme's bias is
+    relative to ``sizes``, shape (k,): the means, or the sum of its terms where a mean is zero.
     """
     count, number = len(samples), len(means)
     deviations = controls - means[:, None]
     # least squares of the samples, with rows beneath that ask for small coefficients
     design = np.zeros((count + number, 1 + number))
     design[:count, 0], design[:count, 1:] = 1, deviations.T
-    design[count:, 1:] = np.diag(count * BIAS * means)
+    design[count:, 1:] = np.diag(count * BIAS * (means if sizes is None else sizes))
     scale = np.linalg.norm(design, axis=0)
     q, r = np.linalg.qr(design / scale)
     deviations = deviations / scale[1:, None]

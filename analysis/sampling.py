@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,16 +17,18 @@ from roadgym.cars import Car
 from roadgym.plant import Plant
 from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
-from roadgym.task import LARGEST_ANGLE, make_task
+from roadgym.task import LARGEST_ANGLE, Task, make_task
 
 from .checks import FloatArray, check_size
 from .driven import lane_seeds
+from .identities import identities, rows_of, watched
 from .phase_noise import slowest_decay
 from .quadratic import interval_mean, periodic_mean_squares, plant_system
 
 RECORD_ANGLE = 100.0  # rad that the slower of road and car turns in the record
 SETTLED = 8.0  # times the slowest time constant before the record: e^-8 of a start at rest is left
 REPORTS = 50  # intervals between two reports
+DAMPING_NODES = 7  # of D, between which what theory expects is interpolated: to 1e-6 of it over the damper's whole range
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -133,82 +135,191 @@ def drive(
     )
 
 
+class Driver(Protocol):
+    """Who sets the damping ratio of cars, see `agents.evaluation.Predictor`; ``task`` tells the plant and what is observed."""
+
+    task: Task
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
+        """(D, shape (n, 1), and state) for observations."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Driven:
+    """Figures of independent lanes whose D a rule has set.
+
+    Attributes:
+        mean_squares: as told, shape (names, lanes).
+        expected: what theory expects of them, likewise, or the same of every lane, shape (names,); None where it does not know.
+        rates: what each identity leaves, which is zero on average, and the sum of its terms, shape (identities, lanes) each.
+        power: mean of F_D times the relative velocity, shape (lanes,), in the units of `analysis.identities`.
+    """
+
+    mean_squares: FloatArray
+    expected: FloatArray | None
+    rates: tuple[FloatArray, FloatArray]
+    power: FloatArray
+
+
 class Switching:
-    """Independent cars whose D switches between a soft and a firm level, at the substep that a task chooses by itself.
+    """Independent cars whose D a rule sets, at the substep that a task chooses by itself.
 
     Args:
         road: a road with a shaping filter.
-        damping: the soft and the firm level, 1.
+        damping: the softest and the firmest level, 1.
         speed, car, lanes, seed: as for `drive`.
+        control_interval: time between actions, s; 0.2/w1 by default.
+        observation: signals that are observed; those of the task by default.
 
     Attributes:
         names: the mean squares that are finite.
+        identities: what holds whatever the rule, see `analysis.identities`.
     """
 
-    def __init__(self, road: Road, *, damping: tuple[float, float], speed: float, car: Car, lanes: int, seed: int) -> None:
-        self._task = make_task(road=road, speed=speed, damping_range=damping, car=car)
+    def __init__(
+        self,
+        road: Road,
+        *,
+        damping: tuple[float, float],
+        speed: float,
+        car: Car,
+        lanes: int,
+        seed: int,
+        control_interval: float | None = None,
+        observation: Sequence[str] | None = None,
+    ) -> None:
+        if control_interval is None:
+            control_interval = 0.2 / car.natural_frequency
+        plain = make_task(road=road, speed=speed, damping_range=damping, car=car, control_interval=control_interval)
+        self._ratio, bandwidth = float(plain.frequency_ratio(speed)), plain.bandwidth[0]
+        road_filter = road.shaping_filter(bandwidth or None)
+        assert road_filter is not None
+        self.identities = identities(road_filter, car.motion, self._ratio)
+        more = rows_of(self.identities)
+        self._task = make_task(
+            road=road,
+            speed=speed,
+            damping_range=damping,
+            car=watched(car, more) if more else car,
+            reward=plain.reward_by_name,
+            observation=observation,
+            control_interval=control_interval,
+        )
         self._levels = np.array(damping, np.float32)
         self._interval = self._task.control_interval * car.natural_frequency
-        self._ratio = float(self._task.frequency_ratio(speed))
-        bandwidth = self._task.bandwidth[0]
-        self._soft, self._firm = (plant_system(self._task, float(level), self._ratio, bandwidth) for level in self._levels)
-        self.names = [name for name in car.mean_squares if name not in self._soft.rough]
+        nodes = -np.cos(np.pi * np.arange(DAMPING_NODES) / (DAMPING_NODES - 1))
+        self._nodes = (damping[0] + damping[1]) / 2 + (damping[1] - damping[0]) / 2 * nodes
+        self._systems = [plant_system(plain, node, self._ratio, bandwidth) for node in self._nodes.tolist()]
+        self.names = [name for name in car.mean_squares if name not in self._systems[0].rough]
         self._rows = np.array([car.mean_squares.index(name) for name in self.names])
-        self._units = self._task.square_units[self._rows, None]
+        self._units = plain.square_units[self._rows, None]
+        self._watched = [self._task.car.mean_squares.index(name) for name in more]
+        self._relative = car.mean_squares.index(car.motion.relative)
         self._plant = Plant(self._task, lanes)
-        self._plant.start(lane_seeds(np.random.SeedSequence(seed), lanes))
+        self._start = self._plant.start(lane_seeds(np.random.SeedSequence(seed), lanes))
 
-    def _drive(self, firm: Callable[[int], Any], report: Callable[[int, int], None] | None) -> FloatArray:
-        """Mean squares of each lane, as told, shape (names, lanes); steps before the record have negative numbers."""
+    def _drive(self, choose: Callable[[int, Any], Any], report: Callable[[int, int], None] | None) -> Driven:
+        """Drive by ``choose(step, observations)``, which answers with D; steps before the record have negative numbers."""
         skipped = math.ceil(SETTLED / (min(map(self._task.car.decay, self._levels.tolist())) * self._interval))
-        measured = self._measured()
-        totals = np.zeros((len(self.names), self._plant.num_envs))
+        measured = self.steps
+        totals, power = np.zeros((len(self._task.reward), self._plant.num_envs)), np.zeros(self._plant.num_envs)
+        seen = self._start.observations
         for step in range(-skipped, measured):
-            actions = np.broadcast_to(np.where(firm(step), self._levels[1], self._levels[0]), self._plant.num_envs)
-            driven = self._plant.step(np.ascontiguousarray(actions))
+            damping = np.clip(np.broadcast_to(choose(step, seen), self._plant.num_envs), *self._levels).astype(np.float32)
+            driven = self._plant.step(damping)
+            seen = driven.observations
             if step >= 0:
-                totals += driven.mean_squares[self._rows]
+                totals += driven.mean_squares
+                power += 2 * driven.damping * driven.mean_squares[self._relative]
             if report and (step % REPORTS == 0 or step == measured - 1):
                 report(skipped + step + 1, skipped + measured)
-        return np.asarray(self._units * totals / measured)
+        squares, power = totals / measured, power / measured
+        edges = np.cumsum([len(identity.rows) for identity in self.identities])
+        parts = np.split(squares[self._watched], edges[:-1]) if len(edges) else []
+        found = [each.left(part, power, self._ratio) for each, part in zip(self.identities, parts, strict=True)]
+        shape = (len(found), self._plant.num_envs)
+        rates = np.reshape([left for left, _ in found], shape), np.reshape([terms for _, terms in found], shape)
+        return Driven(mean_squares=self._units * squares[self._rows], expected=None, rates=rates, power=power)
 
-    def _measured(self) -> int:
-        return math.ceil(RECORD_ANGLE / min(self._ratio, 1.0) / self._interval)
+    @property
+    def steps(self) -> int:
+        """Intervals in the record, in which the car turns by `RECORD_ANGLE`."""
+        return math.ceil(RECORD_ANGLE / self._interval)
 
-    def alternate(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
-        """(measured, expected) mean squares with D firm and soft in turn, as told, shapes (names, lanes) and (names,)."""
-        expected = periodic_mean_squares([self._firm, self._soft], self._interval)
-        measured = self._drive(lambda step: step % 2 == 0, report)
-        return measured, self._units[:, 0] * np.array([float(expected[name]) for name in self.names])
+    def alternate(self, report: Callable[[int, int], None] | None = None) -> Driven:
+        """D firm and soft in turn, whose covariance is periodic and known."""
+        expected = periodic_mean_squares([self._systems[-1], self._systems[0]], self._interval)
+        driven = self._drive(lambda step, seen: self._levels[1 - step % 2], report)
+        return dataclasses.replace(
+            driven, expected=self._units[:, 0] * np.array([float(expected[name]) for name in self.names])
+        )
+
+    @property
+    def knows_skyhook(self) -> bool:
+        """Has the car what the skyhook rule takes?"""
+        return {"velocity", "relative_velocity"} <= set(self._task.car.mean_squares)
 
     @property
     def knows_state(self) -> bool:
-        """Can `skyhook` be driven: is the state all that there is, and are its conditional moments known?"""
-        known = {"velocity", "relative_velocity"} <= set(self._task.car.mean_squares)
-        return known and self._soft.flatness is not None and self._task.road.state_rows is not None
+        """Is the state all that there is, and are its conditional moments known?"""
+        return self._systems[0].flatness is not None and self._task.road.state_rows is not None
 
-    def skyhook(self, report: Callable[[int, int], None] | None = None) -> tuple[FloatArray, FloatArray]:
-        """(measured, expected) mean squares with D firm where it brakes the body, as told, shape (names, lanes) each.
+    def skyhook(self, report: Callable[[int, int], None] | None = None) -> Driven:
+        """D firm where it brakes the body."""
+        velocity, relative = (self._systems[0].signals[name] for name in ("velocity", "relative_velocity"))
+
+        def choose(step: int, seen: Any) -> Any:
+            state = self._state
+            return np.where((velocity @ state) * (relative @ state) > 0, *self._levels[::-1])
+
+        return self._by_state(choose, report)
+
+    def follow(self, driver: Driver, report: Callable[[int, int], None] | None = None) -> Driven:
+        """D as a driver sets it."""
+        memory: list[Any] = [None, np.ones(self._plant.num_envs, np.bool_)]
+
+        def choose(step: int, seen: Any) -> Any:
+            damping, memory[0] = driver.predict(seen, memory[0], memory[1], deterministic=True)
+            memory[1] = np.zeros(self._plant.num_envs, np.bool_)
+            return np.asarray(damping)[:, 0]
+
+        return self._by_state(choose, report)
+
+    @property
+    def _state(self) -> FloatArray:
+        """Of car and road, shape (states, lanes)."""
+        return np.concatenate([self._plant.car_states, self._plant.road_states]).astype(float)
+
+    def _by_state(self, choose: Callable[[int, Any], Any], report: Callable[[int, int], None] | None) -> Driven:
+        """`_drive`, and what theory expects of each interval, given the state in which it began.
 
         Whatever sets D, the mean of a square over an interval has a known mean, given the state at its beginning: a quadratic
-        form. What is expected of a lane is the average of that over the states in which its D was set.
+        form, which is smooth in D and interpolated in it. What is expected of a lane is the average of that over the states in
+        which its D was set.
         """
-        size = len(self._soft.states)
-        forms = np.empty((2, len(self.names), size * size + 1))
-        for k, system in enumerate((self._soft, self._firm)):
+        if not self.knows_state:
+            return self._drive(choose, report)
+        size = len(self._systems[0].states)
+        forms = np.empty((len(self._nodes), len(self.names), size * size + 1))
+        for k, system in enumerate(self._systems):
             for n, name in enumerate(self.names):
                 forms[k, n] = interval_mean(system, system.cost_form({name: 1.0}), self._interval)[1] / self._interval
+        powers = np.linalg.inv(np.vander(self._nodes))  # from values at the nodes to coefficients, the highest power first
+        coefficients = np.tensordot(powers, forms, 1)
         expected = np.zeros((len(self.names), self._plant.num_envs))
-        velocity, relative = (self._soft.signals[name] for name in ("velocity", "relative_velocity"))
 
-        def firm(step: int) -> Any:
-            state = np.concatenate([self._plant.car_states, self._plant.road_states]).astype(float)
-            braking = (velocity @ state) * (relative @ state) > 0
+        def noted(step: int, seen: Any) -> Any:
+            damping = np.clip(choose(step, seen), *self._levels).astype(np.float32)
             if step >= 0:
+                state = self._state
                 squares = (state[:, None] * state).reshape(size * size, -1)
-                soft, hard = (form[:, :-1] @ squares + form[:, -1:] for form in forms)
-                expected[:] += np.where(braking, hard, soft)
-            return braking
+                value = np.zeros_like(expected)
+                for coefficient in coefficients:
+                    value = value * damping + coefficient[:, :-1] @ squares + coefficient[:, -1:]
+                expected[:] += value
+            return damping
 
-        measured = self._drive(firm, report)
-        return measured, self._units * expected / self._measured()
+        driven = self._drive(noted, report)
+        return dataclasses.replace(driven, expected=self._units * expected / self.steps)

@@ -264,7 +264,7 @@ def test_table_and_json_say_the_same():
     assert len({len(row) for row in rows}) == 1  # aligned
     for row, line in zip(rows, certificate.lines, strict=True):
         name, *cells, verdict = re.split(r"  +", row)
-        assert name.startswith(("variance", "PSD, ", "law", *roadgym.MEAN_SQUARES, "relative velocity"))
+        assert name.startswith(("variance", "PSD, ", "law", "balance, travel^2", *roadgym.MEAN_SQUARES, "relative velocity"))
         assert cells == [f"{line.measured:.5g}", f"{line.expected:.5g}", f"{line.standard_error:.2g}", f"{line.p_value:.2g}"]
         assert verdict == ("pass" if line.passed else "FAIL")
     assert "Left out: mean square of the acceleration (infinite on this plant)." in table

@@ -103,6 +103,31 @@ def test_feedback_has_less_noise_and_the_costs_as_driven_stay() -> None:
     np.testing.assert_array_equal(short["skyhook"].adjusted_costs, short["skyhook"].costs)
 
 
+def test_balances_of_the_drive_serve_on_a_rough_road() -> None:
+    """They cut the error of a rule, and move nothing: over other roads the means agree within it."""
+    environment = {"car": "two_mass", "road": "iso_c", "speed": [15.0, 25.0], "control_interval": 0.02}
+    task = make_task(**environment)
+    rules = {"skyhook": make_controller("skyhook", task), "constant": make_controller("d_max", task)}
+    found, again = (
+        evaluate(rules, environment=environment, speeds=[15.0, 25.0], episodes=96, duration=8.0, seed=seed) for seed in (0, 1)
+    )
+    one, two = found["skyhook"], again["skyhook"]
+    assert one.balances[0] == "power"
+    assert np.all(one.standard_error < 0.25 * standard_error(one.costs))
+    assert np.all(np.abs(one.mean - two.mean) < 4 * np.hypot(one.standard_error, two.standard_error))
+    exact = [theoretical_cost(task, task.damping_range[1], point.speed, 0.0) for point in one.points]
+    away = np.abs(found["constant"].mean - exact)
+    assert np.all(away < 4 * found["constant"].standard_error + 1e-4 * np.array(exact))
+    smooth = evaluate(
+        {"d_max": make_controller("d_max", make_task(speed=1.0))},
+        environment={"speed": 1.0},
+        speeds=[1.0],
+        bandwidths=[0.1],
+        episodes=16,
+    )
+    assert smooth["d_max"].balances == ()
+
+
 def test_dampings_serve_only_where_theory_is_exact_and_the_start_is_forgotten() -> None:
     def dampings(transient: float = 100.0, count: int = 256, **environment) -> tuple[float, ...]:
         return control_dampings(make_task(**{"speed": 1.0, **environment}), transient, count)

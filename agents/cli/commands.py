@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import dataclasses
 import itertools
 import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from roadgym import ParameterError
 from roadgym.installation import require
@@ -20,11 +21,19 @@ from .options import environment_from, given_environment, refuse, refuse_environ
 DESCRIPTION = "agent.json"
 
 
-def _grid(chosen: argparse.Namespace) -> dict[str, Any]:
-    """The operating points that are chosen."""
-    from ..comparison import BANDWIDTHS, SPEEDS
+def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, Any]:
+    """The operating points that are chosen, or those of the paper where the environment has them, or others of its range."""
+    from roadgym.task import make_task
 
-    return {"speeds": chosen.speeds or SPEEDS, "bandwidths": chosen.bandwidths or BANDWIDTHS}
+    from ..comparison import BANDWIDTHS, SPEEDS, observed_in_full
+
+    def within(values: tuple[float, ...], low: float, high: float, number: int) -> tuple[float, ...]:
+        inside = all(low <= value <= high for value in values)
+        return values if inside else tuple(dict.fromkeys(np.linspace(low, high, number).tolist()))
+
+    task = make_task(**observed_in_full(environment))
+    speeds, bandwidths = within(SPEEDS, *task.speed, 3), within(BANDWIDTHS, *task.bandwidth, 2)
+    return {"speeds": chosen.speeds or speeds, "bandwidths": chosen.bandwidths or bandwidths}
 
 
 def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
@@ -36,7 +45,7 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     from ..controllers import make_controller
     from ..evaluation import FEWEST_EPISODES, make_points
 
-    points = _grid(chosen)
+    points = _grid(chosen, environment)
     task = make_task(**observed_in_full(environment))
     if task.bandwidth[1] == 0:
         refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
@@ -147,7 +156,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             report=report,
-            **_grid(chosen),
+            **_grid(chosen, environment),
         )[name]
     rows = [
         {
@@ -162,14 +171,15 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         for k, point in enumerate(result.points)
     ]
     if chosen.json:
-        print(json.dumps({"controller": name, "control_variates": result.control_variates, "rows": rows}, indent=2))
+        variates = {"control_variates": result.control_variates, "balances": result.balances}
+        print(json.dumps({"controller": name, **variates, "rows": rows}, indent=2))
         return
     print("speed m/s  bandwidth            cost  switches 1/s")
     for row in rows:
         cost = with_error(row["cost"], row["standard_error"])
         print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
     if result.control_variates:
-        print(adjusted_by(result.control_variates))
+        print(adjusted_by(result.control_variates, result.balances))
 
 
 def run_compare(chosen: argparse.Namespace) -> None:
@@ -220,7 +230,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             controllers=chosen.controllers,
-            **_grid(chosen),
+            **_grid(chosen, environment),
         )
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
         _tell(f"step {steps} of {steps}: drawing and writing")
@@ -332,118 +342,3 @@ def run_drive(chosen: argparse.Namespace) -> None:
         )
     if chosen.output:
         print(chosen.output)
-
-
-def run_certify(chosen: argparse.Namespace) -> int:
-    """``roadgym certify``."""
-    from analysis.certification import certify
-
-    from ..progress import work_progress
-
-    with work_progress() as report:
-        certificate = certify(
-            chosen.road,
-            chosen.speed_noise,
-            speed=chosen.speed,
-            damping=chosen.damping,
-            natural_frequency=chosen.natural_frequency,
-            car=chosen.car,
-            seed=chosen.seed,
-            lanes=chosen.lanes,
-            report=report,
-        )
-    print(certificate.to_json() if chosen.json else certificate.table())
-    return 0 if certificate.passed else 1
-
-
-def run_benchmark(chosen: argparse.Namespace) -> None:
-    """``roadgym benchmark``."""
-    from ..benchmark import CASES, draw_scaling, scaling, scaling_table, table
-    from ..records import make_output, versions, write_atomically
-
-    if chosen.output:
-        path = make_output(chosen.output)  # before the work
-        picture = path.with_suffix(".png")
-        if chosen.scaling and make_output(picture) == path:
-            raise ParameterError(f"output must not end in .png, which the picture beside it does, got {chosen.output!r}")
-    names = chosen.only or list(CASES)
-    for name in names:
-        if name not in CASES:
-            raise ParameterError(f"unknown case {name!r}; known: {', '.join(CASES)}")
-    if {"adapter", "share_of_training"} & set(names):
-        require("stable_baselines3", "train")
-    if chosen.scaling and chosen.output:
-        require("matplotlib", "report")
-    results = []
-    for name in names:
-        print(f"measuring {name}", file=sys.stderr, flush=True)
-        results.append(CASES[name]())
-    rows = scaling() if chosen.scaling else []
-    content = {"results": [dataclasses.asdict(r) for r in results], "scaling": rows, "versions": versions()}
-    if chosen.json:
-        print(json.dumps(content, indent=2))
-    else:
-        print("\n\n".join([table(results), *([scaling_table(rows)] if rows else [])]))
-    if chosen.output:
-        write_atomically(path, json.dumps(content, indent=2) + "\n")
-        if rows:
-            draw_scaling(rows, picture)
-
-
-def run_figures(chosen: argparse.Namespace) -> None:
-    """``roadgym figures``."""
-    from analysis.paper.figures import write
-
-    from ..progress import work_progress
-
-    if chosen.only and 7 not in chosen.only:
-        refuse(chosen, ["full"], "without Fig. 7, which alone it changes")
-    with work_progress() as report:
-        files = write(chosen.output, chosen.only, full=chosen.full, report=report)
-    for file in files:
-        print(file)
-
-
-def run_explore(chosen: argparse.Namespace) -> None:
-    """``roadgym explore``."""
-    from analysis import explorer
-
-    names = [name for name, _ in chosen.value]
-    for name in names:
-        if names.count(name) > 1:
-            raise ParameterError(f"--value gives {name!r} twice")
-    view = {"road": chosen.road, "speed_noise": chosen.speed_noise, **dict(chosen.value)}
-    print(explorer.write(chosen.output, view | ({"weights": chosen.weights} if chosen.weights else {})))
-
-
-def run_errata(chosen: argparse.Namespace) -> None:
-    """``roadgym errata``."""
-    from analysis.paper import errata
-
-    from ..progress import work_progress
-
-    with work_progress() as report:
-        checks = errata.run(chosen.only, report=report)
-    print(json.dumps([dataclasses.asdict(check) for check in checks], indent=2) if chosen.json else errata.table(checks))
-
-
-def run_cache(chosen: argparse.Namespace) -> None:
-    """``roadgym cache``."""
-    from analysis.feedback import kept_files
-    from roadgym import cache
-
-    from ..controllers import cache_folder
-
-    places = (
-        ("compiled code", cache.compiled_folder(), cache.compiled_files),
-        ("optimal feedbacks", cache_folder(), lambda: kept_files(cache_folder())),
-    )
-    print(f"{'':17}  {'files':>6}  {'MB':>8}  folder")
-    for what, folder, find in places:
-        sizes = [path.stat().st_size for path in find() if path.exists()]
-        print(f"{what:17}  {len(sizes):6}  {sum(sizes) / 1e6:8.2f}  {folder or 'nowhere: there is no home folder'}")
-    if chosen.clear:
-        cache.clear_compiled()
-        for path in kept_files(cache_folder()):
-            path.unlink(missing_ok=True)
-        print("cleared")

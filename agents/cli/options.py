@@ -57,10 +57,13 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
             "help": f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind",
         },
     ),
-    "speed": ("--speed-range", RANGE | {"help": "range of speeds, m/s (0.5 3.2)"}),
+    "speed": ("--speed-range", RANGE | {"help": "range of speeds, m/s (0.5 3.2; of two masses 15 25)"}),
     "bandwidth": ("--bandwidth-range", RANGE | {"help": "range of bandwidths (0.05 0.5)"}),
-    "damping_range": ("--damping-range", RANGE | {"help": "range of the action (0.05 1)"}),
-    "reward": ("--weights", {"type": weights, "metavar": "NAME=WEIGHT,...", "help": "weights of the cost (displacement=1)"}),
+    "damping_range": ("--damping-range", RANGE | {"help": "range of the action (the car's, 0.05 1)"}),
+    "reward": (
+        "--weights",
+        {"type": weights, "metavar": "NAME=WEIGHT,...", "help": "weights of the cost (the car's, displacement=1)"},
+    ),
     "observation": (
         "--observation",
         {
@@ -76,7 +79,7 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "control_interval": (
         "--control-interval",
-        {"type": float, "metavar": "S", "help": "time between actions, s (0.2/natural frequency)"},
+        {"type": float, "metavar": "S", "help": "time between actions, s (the car's, 0.2/natural frequency)"},
     ),
     "car": (
         "--car",
@@ -128,8 +131,12 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
 def add_evaluation(parser: argparse.ArgumentParser, *, seed: bool = False) -> None:
     """Options of evaluation; its seed where no training has one."""
     group = parser.add_argument_group("evaluation")
-    group.add_argument("--speeds", type=float, nargs="+", metavar="V", help="speeds, m/s (0.7 1 1.5 2 3)")
-    group.add_argument("--bandwidths", type=float, nargs="+", metavar="DELTA", help="road bandwidths (0.1 0.3)")
+    group.add_argument(
+        "--speeds", type=float, nargs="+", metavar="V", help="speeds, m/s (0.7 1 1.5 2 3, or three of the range)"
+    )
+    group.add_argument(
+        "--bandwidths", type=float, nargs="+", metavar="DELTA", help="road bandwidths (0.1 0.3, or the ends of the range)"
+    )
     group.add_argument("--episodes", type=int, default=256, help="episodes at each operating point (%(default)s)")
     if seed:
         group.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
@@ -141,7 +148,10 @@ def add_environment(parser: argparse.ArgumentParser) -> None:
     held = "; with --agent, what it was trained on" if "--agent" in options else ""
     group = parser.add_argument_group("environment", f"by default the bounded road over a range of speeds and bandwidths{held}")
     for parameter, (option, how) in ENVIRONMENT.items():
-        group.add_argument(option, dest=f"environment_{parameter}", **how)
+        names = (
+            [option, "--speed"] if parameter == "speed" and "--speed" not in options else [option]
+        )  # one speed where films are
+        group.add_argument(*names, dest=f"environment_{parameter}", **how)
 
 
 def given_environment(chosen: argparse.Namespace) -> dict[str, Any]:
@@ -152,12 +162,14 @@ def given_environment(chosen: argparse.Namespace) -> dict[str, Any]:
 
 def environment_from(chosen: argparse.Namespace) -> dict[str, Any]:
     """Parameters of the environment from the options, over the defaults; checks them."""
+    from roadgym.cars import make_car
     from roadgym.task import make_task
 
     from ..agent import DEFAULT_ENVIRONMENT
 
     given = given_environment(chosen)
-    environment = {**DEFAULT_ENVIRONMENT, **given}
+    car = make_car(given.get("car"), given.get("natural_frequency"))
+    environment = {**DEFAULT_ENVIRONMENT, **car.usual_plant, **given}
     if "bandwidth" not in given and make_task(road=environment["road"]).bandwidth[1] == 0:
         del environment["bandwidth"]
     make_task(**environment)

@@ -10,20 +10,9 @@ from roadgym import ROADS, SPEED_NOISES, __version__
 
 from ..benchmark import CASES
 from ..names import CONTROLLERS_SHOWN
-from .commands import (
-    run_benchmark,
-    run_cache,
-    run_certify,
-    run_compare,
-    run_drive,
-    run_errata,
-    run_evaluate,
-    run_explore,
-    run_figures,
-    run_train,
-    run_tune,
-)
+from .commands import run_compare, run_drive, run_evaluate, run_train, run_tune
 from .options import ENVIRONMENT, add_environment, add_evaluation, add_training, component, nonempty, weights
+from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
 
@@ -146,6 +135,9 @@ def make_parser() -> argparse.ArgumentParser:
     certify.add_argument("--damping", type=float, default=0.3, metavar="D", help="damping ratio (%(default)s)")
     certify.add_argument("--car", **ENVIRONMENT["car"][1])
     certify.add_argument("--natural-frequency", **ENVIRONMENT["natural_frequency"][1])
+    who = certify.add_mutually_exclusive_group()
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="certify under a trained agent's rule too, on its plant")
+    who.add_argument("--controller", metavar="NAME", help=f"certify under a controller's rule too: {CLASSICAL}")
     certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s)")
     certify.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
     certify.add_argument("--json", action="store_true", help="print JSON instead of the table")

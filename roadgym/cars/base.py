@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,7 @@ class Car(abc.ABC):
     constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
     cost_unit: ClassVar[float | None] = None  # that of the weighted mean squares in the reward; None: E Z^2 of the road
     default_reward: ClassVar[Mapping[str, float]] = {"displacement": 1.0}
+    usual_plant: ClassVar[Mapping[str, Any]] = {}  # parameters of the environment where a command is not given them
     starts_on_road: ClassVar[bool] = False  # does an episode start with its heights at that of the road, or at zero
     squared: ClassVar[int] = 0
     working_rows: ClassVar[int] = 0

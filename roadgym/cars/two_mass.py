@@ -85,6 +85,7 @@ class TwoMassCar(LinearCar):
     constructors = {"mass_ratio": "from_ratios"}  # noqa: RUF012  (as of the class above)
     cost_unit: ClassVar[float | None] = 1.0
     default_reward: ClassVar[Mapping[str, float]] = {"acceleration": 1.0}
+    usual_plant: ClassVar[Mapping[str, Any]] = {"road": "iso_c", "speed": (15.0, 25.0)}
     starts_on_road: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
