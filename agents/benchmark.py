@@ -313,7 +313,7 @@ def draw_scaling(rows: list[dict[str, float]], path: Path) -> None:
     """Time of a batch's step over its size, and of one environment's over the substeps, with lines of slope one."""
     with needs("report"):
         from matplotlib.figure import Figure
-    from .figures import save_figure
+    from .figure_style import save_figure
 
     figure = Figure(figsize=(9.5, 4.2), layout="constrained")
     sizes, substeps = figure.subplots(1, 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,60 +13,44 @@ import numpy.typing as npt
 
 import analysis
 from analysis.response import needs_simulation
-from roadgym.files import whole_file
 from roadgym.installation import needs
 from roadgym.reward import divergent_terms
-from roadgym.task import OPERATING_POINT, Task, make_task
+from roadgym.task import OPERATING_POINT, Task
 from roadgym.vector import QuarterCarVectorEnv
 
-from .controllers import OptimalFeedback
-from .evaluation import OperatingPoint, Predictor, answers, drive, evaluate, observed_by
+from .evaluation import OperatingPoint, Predictor, answers, drive, observed_by
+from .figure_style import STYLES, Report, plain_ticks, save_figure, speed_label, style
 from .names import figure_label, file_names, title
 from .records import Purpose, stream_seed
 from .results import Comparison, Picture
 from .theory import optimum, road_at, theoretical_cost
+from .trade_off import draw_pareto, trade_off
+from .units import abscissa, in_si, place, root, shown, unit, weighted
 
 with needs("report"):
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-# Okabe and Ito's colours, told apart by readers with any colour vision, each with a mark of its own
-STYLES: dict[str, dict[str, Any]] = {
-    "analytic_optimum": {"color": "#0072B2", "marker": "s"},
-    "d_min": {"color": "#999999", "marker": "v"},
-    "d_max": {"color": "#000000", "marker": "^"},
-    "skyhook": {"color": "#009E73", "marker": "D"},
-    "one_step_lookahead": {"color": "#CC79A7", "marker": "P"},
-    "optimal_feedback": {"color": "#E69F00", "marker": "*", "markersize": 9},
-}
-LEARNED = ("#D55E00", "#56B4E9", "#882255", "#117733")
-OTHERS = ("x", "+", "1", "2", "3", "4", "|")
-FRONT = (0.1, 0.3, 1.0, 3.0, 10.0)  # factors of the first weight along the front of the optimal feedbacks
-Report = Callable[[str, int, int], None]
-
-
-def style(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Colour and mark of a controller, for `matplotlib.axes.Axes.errorbar`."""
-    if name in comparison.agents:
-        number = list(comparison.agents).index(name)
-        return {"color": LEARNED[number % len(LEARNED)], "marker": "o", "zorder": 5}
-    if name in STYLES:
-        return STYLES[name]
-    others = [other for other in comparison.controllers if other not in STYLES and other not in comparison.agents]
-    return {"color": "#666666", "marker": OTHERS[others.index(name) % len(OTHERS)]}
 
 
 def draw_figures(comparison: Comparison, folder: Path, report: Report | None = None) -> list[Picture]:
     """Draw every picture that the comparison has; returns them in order."""
+    over = (
+        "the speed"
+        if in_si(comparison.task)
+        else "the frequency ratio ν, the speed in units of natural frequency over wavenumber"
+    )
     pictures = [
         Picture(
             draw_cost_over_speed(comparison, folder / "cost_over_speed.png"),
-            "Cost over the frequency ratio ν, the speed in units of natural frequency over wavenumber. Marks: driven, with two "
-            "standard errors. Full lines: theory.",
+            f"Cost over {over}. Marks: driven, with two standard errors. Full lines: theory.",
             draw_cost_over_speed(comparison, folder / "cost_over_speed_narrow.png", narrow=True),
         )
     ]
+    if in_si(comparison.task):
+        path, narrow = folder / "root_mean_squares.png", folder / "root_mean_squares_narrow.png"
+        caption = "Root mean squares over the speed: comfort, travel and grip. Marks: driven. Full line: theory."
+        draw_root_mean_squares(comparison, path)
+        draw_root_mean_squares(comparison, narrow, narrow=True)
+        pictures.append(Picture(path, caption, narrow))
     endings = file_names(comparison.agents)
     for name, agents in comparison.agents.items():
         agent, suffix = agents[0], "" if len(comparison.agents) == 1 else f"-{endings[name]}"
@@ -81,7 +65,7 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
             draw_policy(met, comparison, path)
             draw_policy(met, comparison, narrow, narrow=True)
             pictures.append(Picture(path, caption, narrow))
-    if len(comparison.task.reward_by_name) > 1:
+    if len(trade_off(comparison.task)) > 1:
         path = folder / "pareto.png"
         pictures.append(Picture(path, draw_pareto(comparison, path, report)))
     return pictures
@@ -98,13 +82,6 @@ def shows_policy(task: Task) -> bool:
     """Has the car all signals of `draw_policy`, and are they numbers on this plant?"""
     rough = divergent_terms(task.car, task.road, task.speed_noise)
     return all(name in task.car.mean_squares and name not in rough for name in itertools.chain(*AXES))
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write the figure whole or not at all."""
-    FigureCanvasAgg(figure)
-    with whole_file(path) as part:
-        figure.savefig(part, dpi=150)
 
 
 def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = False) -> Path:
@@ -127,7 +104,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
             rows = [comparison.row(name, point) for point in comparison.points if point.bandwidth == bandwidth]
             rows.sort(key=lambda row: row.point.speed)
             look = {"markersize": 5, **style(comparison, name)}
-            ratios = [task.frequency_ratio(row.point.speed) for row in rows]
+            ratios = [abscissa(task, row.point.speed) for row in rows]
             axis.errorbar(
                 ratios,
                 [row.cost for row in rows],
@@ -147,14 +124,16 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
                     else theoretical_cost(task, constant[name], speed, bandwidth)
                     for speed in fine.tolist()
                 ]
-                axis.plot(task.frequency_ratio(fine), curve, color=look["color"], linewidth=1.2)
+                axis.plot(abscissa(task, fine), curve, color=look["color"], linewidth=1.2)
         axis.set_yscale("log")
+        if in_si(task):
+            plain_ticks(axis.yaxis)
         axis.set_title(f"bandwidth $\\delta = {bandwidth:g}$" if bandwidth else task.road.kind)
         axis.grid(visible=True, which="both", linewidth=0.3)
     for axis in axes[-1:] if narrow else axes:
-        axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
+        axis.set_xlabel(speed_label(task))
     for axis in axes if narrow else axes[:1]:
-        axis.set_ylabel("cost: weighted mean square\nover $E\\,Z^2$")
+        axis.set_ylabel(f"cost: {weighted(task)}" if in_si(task) else "cost: weighted mean square\nover $E\\,Z^2$")
     figure.legend(  # beside the panels, so that it covers nothing
         *axes[0].get_legend_handles_labels(),
         loc="outside lower center",
@@ -163,6 +142,42 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
         title="marks: driven, ± 2 standard errors; lines: theory" + ("\n" if narrow else " ") + "(dashed: a guide to the eye)",
         title_fontsize=8,
     )
+    save_figure(figure, path)
+    return path
+
+
+def draw_root_mean_squares(comparison: Comparison, path: Path, *, narrow: bool = False) -> Path:
+    """What a drive in a car in SI is like over the speed, every controller in a panel for each of `agents.units.shown`."""
+    task, names = comparison.task, shown(comparison.task)
+    columns = 1 if narrow else 2
+    lines = math.ceil(len(names) / columns)
+    figure = Figure(figsize=(4.2, 2.4 * lines + 1.2) if narrow else (9.6, 3.0 * lines + 0.9), layout="constrained")
+    axes = figure.subplots(lines, columns, squeeze=False, sharex=True).flatten()
+    bandwidth = comparison.points[0].bandwidth
+    speeds = sorted({point.speed for point in comparison.points})
+    fine = np.linspace(speeds[0], speeds[-1], 60)
+    for axis, name in zip(axes, names, strict=False):
+        for controller in comparison.controllers:
+            rows = [comparison.row(controller, point) for point in comparison.points if point.bandwidth == bandwidth]
+            rows.sort(key=lambda row: row.point.speed)
+            look = {"markersize": 5, **style(comparison, controller)}
+            x, y = [abscissa(task, row.point.speed) for row in rows], [root(task, name, row.squares[name]) for row in rows]
+            line = "none" if rows[0].theory is not None else "--"
+            axis.plot(x, y, linestyle=line, linewidth=1.2, label=figure_label(title(controller)), **look)
+        if comparison.row("analytic_optimum", comparison.points[0]).theory is not None:
+            dampings = [optimum(task, speed, bandwidth).damping for speed in fine.tolist()]
+            road = road_at(task, bandwidth)
+            squares = analysis.mean_squares(road, task.speed_noise, damping=dampings, speed=fine, car=task.car)[name]
+            curve = [root(task, name, square / task.cost_unit) for square in squares.tolist()]
+            axis.plot(abscissa(task, fine), curve, color=STYLES["analytic_optimum"]["color"], linewidth=1.2)
+        axis.set_ylabel(f"{name.replace('_', ' ')}, {unit(task, name)[0]}")
+        axis.grid(visible=True, linewidth=0.3)
+    for axis in axes[len(names) :]:
+        axis.set_axis_off()
+    for axis in axes[len(names) - columns : len(names)]:
+        axis.set_xlabel(speed_label(task))
+        axis.tick_params(labelbottom=True)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2 if narrow else 4, fontsize=8)
     save_figure(figure, path)
     return path
 
@@ -208,12 +223,17 @@ def draw_policy(met: Met, comparison: Comparison, path: Path, *, narrow: bool = 
         "displacement": f"displacement {symbols['displacement']}/σ",
         "travel": f"travel {symbols['travel']}/σ",
     }
+    scale = dict.fromkeys(labels, 1.0)
+    if in_si(task):
+        factors = dict(zip(task.car.mean_squares, np.sqrt(task.square_units).tolist(), strict=True))
+        scale = {name: factors[name] * unit(task, name)[1] for name in labels}
+        labels = {name: f"{name.replace('_', ' ')}, {unit(task, name)[0]}" for name in labels}
     font: dict[str, Any] = {"fontsize": 8} if narrow else {}
     low, high = task.damping_range
     mesh: Any = None
     for column, (speed, (signal, values)) in enumerate(met.items()):
         for row, (across, up) in enumerate(AXES):
-            axis, x, y = axes[row, column], signal[across], signal[up]
+            axis, x, y = axes[row, column], scale[across] * signal[across], scale[up] * signal[up]
             width, height = (np.quantile(np.abs(v), 0.995) for v in (x, y))
             mesh = axis.hexbin(
                 x,
@@ -235,7 +255,8 @@ def draw_policy(met: Met, comparison: Comparison, path: Path, *, narrow: bool = 
             if narrow or column == 0:
                 axis.set_ylabel(labels[up], **font)
             if narrow or row == 0:
-                point = f"$\\nu = {task.frequency_ratio(speed):g}$" + (f", $\\delta = {bandwidth:g}$" if bandwidth else "")
+                point = f"{abscissa(task, speed):g} km/h" if in_si(task) else f"$\\nu = {task.frequency_ratio(speed):g}$"
+                point += f", $\\delta = {bandwidth:g}$" if bandwidth else ""
                 axis.set_title(point, **({"fontsize": 9} if narrow else {}))
     bar = figure.colorbar(mesh, ax=grid, shrink=0.8, location="bottom" if narrow else "right")
     bar.set_label("mean damping ratio $D$ that the agent chooses", **font)
@@ -254,14 +275,14 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
     bandwidths = sorted({point.bandwidth for point in comparison.points})
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    ratios = task.frequency_ratio(speeds)
-    largest, place = 0.0, comparison.points[0]
+    ratios, across = task.frequency_ratio(speeds), abscissa(task, speeds)
+    largest, worst = 0.0, comparison.points[0]
     for number, bandwidth in enumerate(bandwidths):
         best = [optimum(task, speed, bandwidth) for speed in speeds.tolist()]
         colour = ("#0072B2", "#009E73", "#CC79A7", "#E69F00")[number % 4]
         label = f"$\\delta = {bandwidth:g}$" if bandwidth else task.road.kind
         look: dict[str, Any] = {"color": colour, "marker": "osD^"[number % 4], "markevery": (3 * number, 12), "markersize": 4}
-        left.plot(ratios, [point.damping for point in best], label=f"analytic, {label}", **look)
+        left.plot(across, [point.damping for point in best], label=f"analytic, {label}", **look)
         for agent in agents:
             point = {"speed": ratios / (1 + ratios), "bandwidth": np.full(len(speeds), 2 * bandwidth / (1 + 2 * bandwidth))}
             seen = np.stack([point[signal] for signal in observed_by(agent, task)], axis=1).astype(np.float32)
@@ -269,108 +290,19 @@ def draw_schedule(name: str, agents: Sequence[Predictor], comparison: Comparison
             pairs = zip(speeds.tolist(), damping.tolist(), strict=True)
             costs = [theoretical_cost(task, d, speed, bandwidth) for speed, d in pairs]
             excess = np.array(costs) / [float(point.cost) for point in best] - 1
-            left.plot(ratios, damping, "--", linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None, **look)
-            right.plot(ratios, 100 * excess, "--", linewidth=1.2, **look)
+            left.plot(across, damping, "--", linewidth=1.2, label=f"learned, {label}" if agent is agents[0] else None, **look)
+            right.plot(across, 100 * excess, "--", linewidth=1.2, **look)
             if excess.max() > largest:
-                largest, place = float(excess.max()), OperatingPoint(float(speeds[excess.argmax()]), bandwidth)
+                largest, worst = float(excess.max()), OperatingPoint(float(speeds[excess.argmax()]), bandwidth)
     left.set_ylabel("damping ratio $D$")
     right.set_ylabel("cost above the least, %")
     for axis in (left, right):
-        axis.set_xlabel("frequency ratio $\\nu = v\\Omega/\\omega_1$")
+        axis.set_xlabel(speed_label(task))
         axis.grid(visible=True, linewidth=0.3)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2 * len(bandwidths), fontsize=8)
     save_figure(figure, path)
-    at = f"nu = {task.frequency_ratio(place.speed):.3g}" + (f", delta = {place.bandwidth:g}" if place.bandwidth else "")
     who = name if len(agents) == 1 else f"the {len(agents)} training seeds of {name}"
     return (
         f"The schedule of {who}, which sees the operating point alone, over the analytic optimum D*(nu, delta). By theory its "
-        f"cost is at most {100 * largest:.2f} % above the least, at {at}."
+        f"cost is at most {100 * largest:.2f} % above the least, at {place(task, worst)}."
     )
-
-
-def optimal_front(
-    comparison: Comparison, names: Sequence[str], point: OperatingPoint, report: Report | None
-) -> npt.NDArray[np.float64]:
-    """Two mean squares of the optimal feedbacks for `FRONT` of their weights' ratios, driven, shape (5, 2)."""
-    weights = comparison.task.reward_by_name
-    found = []
-    for number, factor in enumerate(FRONT):
-        if report:
-            report("optimal feedbacks of other weights", number, len(FRONT))
-        reward = {names[0]: factor * weights[names[0]], names[1]: weights[names[1]]}
-        environment = {**comparison.configuration["environment"], "reward": reward}
-        feedback = OptimalFeedback(make_task(**environment))
-        seed, episodes = comparison.configuration["seed"], comparison.configuration["episodes"]
-        options = {"speeds": [point.speed], "bandwidths": [point.bandwidth], "episodes": episodes, "seed": seed}
-        driven = evaluate({"optimal": feedback}, environment=environment, **options)["optimal"]
-        found.append([driven.mean_squares[comparison.task.car.mean_squares.index(name), 0] for name in names])
-    if report:
-        report("optimal feedbacks of other weights", len(FRONT), len(FRONT))
-    return np.array(found)
-
-
-def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> str:
-    """The first two weighted mean squares against each other at one operating point; returns the caption.
-
-    A line of constant dampings by theory, the controllers as driven, and the front of the optimal feedbacks for other weights,
-    where the comparison drove the optimal feedback.
-    """
-    task = comparison.task
-    names = list(task.reward_by_name)[:2]
-    speeds = sorted({point.speed for point in comparison.points})
-    point = next(point for point in comparison.points if point.speed == speeds[(len(speeds) - 1) // 2])
-    figure = Figure(figsize=(9.0, 5.4), layout="constrained")
-    axis = figure.subplots()
-    if not needs_simulation(task.road, task.speed_noise, task.car):
-        dampings = np.geomspace(*task.damping_range, 120)
-        squares = analysis.mean_squares(
-            road_at(task, point.bandwidth),
-            task.speed_noise,
-            damping=dampings,
-            speed=point.speed,
-            car=task.car,
-        )
-        x, y = (np.asarray(squares[name]) / task.cost_unit for name in names)
-        axis.plot(x, y, color="#0072B2", linewidth=1.2, label="constant $D$, theory")
-        for value in (0.1, 0.2, 0.3, 0.5, 0.7):
-            if task.damping_range[0] < value < task.damping_range[1]:
-                k = int(np.argmin(np.abs(dampings - value)))
-                axis.plot(x[k], y[k], ".", color="#0072B2")
-                text: dict[str, Any] = {
-                    "textcoords": "offset points",
-                    "fontsize": 7,
-                    "color": "#0072B2",
-                    "annotation_clip": True,
-                }
-                axis.annotate(f"{value:g}", (x[k], y[k]), (4, 4), **text)
-    xs, ys = [], []
-    if "optimal_feedback" in comparison.controllers:
-        front = optimal_front(comparison, names, point, report)
-        look = {**STYLES["optimal_feedback"], "markersize": 5}
-        xs, ys = front.T.tolist()
-        axis.plot(xs, ys, linestyle=":", label="optimal feedback, other weights", **look)
-    for name in comparison.controllers:
-        if name in ("d_min", "d_max"):
-            continue  # the ends of the line
-        row = comparison.row(name, point)
-        place = [row.squares[signal] for signal in names]
-        look = {"markersize": 8, **style(comparison, name)}
-        axis.plot(*place, linestyle="none", label=figure_label(title(name)), **look)
-        xs.append(place[0])
-        ys.append(place[1])
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    # the line runs far off, where nobody drives
-    for set_limits, values in ((axis.set_xlim, xs), (axis.set_ylim, ys)):
-        set_limits(min(values) / 1.3, max(values) * 1.6)
-    axis.set_xlabel(f"mean square of {names[0].replace('_', ' ')} over $E\\,Z^2$")
-    axis.set_ylabel(f"mean square of {names[1].replace('_', ' ')} over $E\\,Z^2$")
-    at = f"nu = {task.frequency_ratio(point.speed):g}" + (f", delta = {point.bandwidth:g}" if point.bandwidth else "")
-    axis.grid(visible=True, which="both", linewidth=0.3)
-    for side in (axis.xaxis, axis.yaxis):
-        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
-        side.set_major_formatter("{x:g}")
-        side.set_minor_formatter(NullFormatter())
-    figure.legend(loc="outside right upper", fontsize=8)
-    save_figure(figure, path)
-    return f"{names[0]} against {names[1]} at {at}: lower and further left is better in both."

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from roadgym.installation import needs
-from roadgym.task import Task
 
 from .agent import Agent
 from .controllers import CONTROLLERS
@@ -21,6 +20,8 @@ from .evaluation import Predictor
 from .features import has_lookahead
 from .names import CONTROLLERS_SHOWN, title
 from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
+from .units import KILOMETRES_PER_HOUR, in_si, place, root, shown, unit
+from .units import weighted as weighted
 
 TEMPLATE = Path(__file__).with_name("report.html")
 WIDTH = 80  # columns of the table of text
@@ -46,28 +47,23 @@ def above(share: Share) -> str:
     return f"{percent(Share(-share.value, -share.high, -share.low))} below"
 
 
-def weighted(task: Task) -> str:
-    """The cost in words."""
-    return " + ".join((f"{weight:g} " if weight != 1 else "") + name for name, weight in task.reward_by_name.items())
-
-
 def notes(comparison: Comparison) -> list[tuple[str, str]]:
     """What is in the tables, in order: a term, and a sentence on it."""
     low, high = comparison.task.damping_range
-    found = [
-        (
-            "nu",
-            "frequency ratio, the speed in units of natural frequency over wavenumber: at 1 the road's waves excite resonance.",
+    task, found = comparison.task, []
+    if not in_si(task):
+        what = (
+            "frequency ratio, the speed in units of natural frequency over wavenumber: at 1 the road's waves excite resonance."
         )
-    ]
+        found.append(("nu", what))
     if comparison.task.bandwidth[1] > 0:
         found.append(("delta", "bandwidth of the road: near 0 it is a sine, the larger the less regular."))
     found += [
-        ("D", f"damping ratio of the car, within [{low:g}, {high:g}]; what a controller sets."),
+        ("D", f"damping ratio of the car, within [{low:.3g}, {high:.3g}]; what a controller sets."),
         (
             "cost",
-            f"mean square of {weighted(comparison.task)} over that of the road, E Z^2; in brackets the standard error of the "
-            "last digits.",
+            f"mean square of {weighted(task)}{'' if in_si(task) else ' over that of the road, E Z^2'}; in brackets the "
+            "standard error of the last digits.",
         ),
     ]
     if any(row.theory is not None for row in comparison.rows):
@@ -116,7 +112,8 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
     optimal feedback.
     """
     task, points = comparison.task, comparison.points
-    where = [("nu", [f"{task.frequency_ratio(point.speed):g}" for point in points])]
+    speeds = {"m/s": 1.0, "km/h": KILOMETRES_PER_HOUR} if in_si(task) else {"nu": float(task.frequency_ratio(1.0))}
+    where = [(head, [f"{factor * point.speed:g}" for point in points]) for head, factor in speeds.items()]
     if task.bandwidth[1] > 0:
         where.append(("delta", [f"{point.bandwidth:g}" for point in points]))
     found = [("", where)]
@@ -191,11 +188,10 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
         best = "optimal feedback" if kinds == {"optimal_feedback"} else "best known feedback"
         text = f"{name} {closes} from the best constant D to the {best}, {over}."
     if gap.loss is not None and gap.largest_loss is not None and gap.largest_at is not None:
-        place = f"nu = {comparison.task.frequency_ratio(gap.largest_at.speed):g}"
-        place += f", delta = {gap.largest_at.bandwidth:g}" if gap.largest_at.bandwidth else ""
+        worst = place(comparison.task, gap.largest_at)
         where = "Its" if total == 1 else f"Where there is none ({left} of {total} points), its"
         text += f" {where} cost is {above(gap.loss)} that of the best constant D"
-        text += f" ({place})." if left == 1 else f" on average, {above(gap.largest_loss)} at worst ({place})."
+        text += f" ({worst})." if left == 1 else f" on average, {above(gap.largest_loss)} at worst ({worst})."
     return text
 
 
@@ -214,10 +210,30 @@ def table(comparison: Comparison) -> str:
         lines = ["  ".join(parts).rstrip() for parts in zip(*whole, strict=True)]
         lines.insert(len(lines) - len(comparison.points), "-" * max(map(len, lines)))
         text += [*lines, ""]
+    if in_si(comparison.task):
+        text += [*_roots(comparison), ""]
     said = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
     shares = () if comparison.agents else ("gap closed", "gain")  # columns that are on the page alone
     said += [f"{term}: {sentence}" for term, sentence in notes(comparison) if term not in shares]
     return "\n".join(text + [textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said])
+
+
+def _roots(comparison: Comparison) -> list[str]:
+    """Lines of a table of root mean squares at the middle operating point, a controller a line, in as many columns as fit."""
+    task, point = comparison.task, comparison.points[len(comparison.points) // 2]
+    rows = [comparison.row(name, point) for name in comparison.controllers]
+    columns = [["", "", *(title(row.controller) for row in rows)]]
+    for name in shown(task):
+        cells = [f"{root(task, name, row.squares[name]):.4g}" for row in rows]
+        columns.append([name.replace("_", " ").replace("acceleration", "accel."), unit(task, name)[0], *cells])
+    widths = [max(map(len, column)) for column in columns]
+    while sum(widths) + 2 * (len(widths) - 1) > WIDTH and len(widths) > 2:
+        del columns[-1], widths[-1]
+    lines = [
+        "  ".join([first.ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True))]).rstrip()
+        for first, *rest in zip(*columns, strict=True)
+    ]
+    return [f"root mean squares at {place(task, point)}", "", *lines[:2], "-" * max(map(len, lines)), *lines[2:]]
 
 
 def _laid_out(name: str, columns: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
@@ -264,15 +280,19 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
         costs["gain"] = [percent(row.gain) for row in rows]
     squares = {"switches": [f"{row.switches:.2f}" for row in rows]}
     for name in rows[0].squares:
-        squares[name.replace("_", " ")] = [
-            f"{row.squares[name]:.4f}" if np.isfinite(row.squares[name]) else "infinite" for row in rows
-        ]
+        head, values = name.replace("_", " "), [row.squares[name] for row in rows]
+        if in_si(task):
+            head, values = f"{head}, {unit(task, name)[0]}", [root(task, name, value) for value in values]
+        shape = ".4g" if in_si(task) else ".4f"
+        squares[head] = [f"{value:{shape}}" if np.isfinite(value) else "infinite" for value in values]
     found = []
     for columns in (costs, squares):
         cells = list(zip(*map(aligned, columns.values()), strict=True))
         groups = []
         for point in comparison.points:
-            heading = f"ν = {task.frequency_ratio(point.speed):g}" + (f", δ = {point.bandwidth:g}" if point.bandwidth else "")
+            heading = place(task, point).replace("nu", "ν").replace("delta", "δ")
+            if in_si(task):
+                heading += f", {KILOMETRES_PER_HOUR * point.speed:.3g} km/h"
             lines = [
                 {
                     "name": title(row.controller) + ("" if row.damping is None else f" = {row.damping:.3g}"),
@@ -330,6 +350,7 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     costs, squares = _tables(comparison)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         cost=weighted(task),
+        in_si=in_si(task),
         displacement_alone=list(task.reward_by_name.items()) == [("displacement", 1.0)],
         means=[mean_gap_closed(comparison, name) for name in comparison.mean_gaps],
         controllers=_controllers(comparison),

@@ -226,7 +226,7 @@ def test_no_agent_is_dropped_for_the_name_of_its_folder():
 
 
 def test_weights_of_two_signals_draw_their_front(tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.figures.FRONT", (1.0,))
+    monkeypatch.setattr("agents.trade_off.FRONT", (1.0,))
     environment = {**ENVIRONMENT, "reward": {"acceleration": 1.0, "travel": 0.5}}
     found = compare(
         None, environment=environment, speeds=[1.5], bandwidths=[0.3], controllers=["skyhook", "optimal_feedback"], episodes=16

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import gymnasium
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.linalg import expm, solve_continuous_lyapunov, solve_discrete_lyapuno
 
 import analysis
 import roadgym
+from agents.comparison import compare, write
+from agents.comparison import table as comparison_table
 from roadgym import FirstOrderRoad, ParameterError, TwoMassCar
 from roadgym.cars import make_car
 from roadgym.cars.linear import DEGREE, FACTORS, SERIES, STATES
@@ -209,3 +212,30 @@ def test_the_specification_survives_json():
 def test_cars_that_are_none(parameters, message):
     with pytest.raises(ParameterError, match=message):
         make_car({"kind": "two_mass", **parameters})
+
+
+def test_a_comparison_is_told_as_people_speak_of_cars(tmp_path):
+    """Speeds in m/s and km/h, root mean squares in m/s², mm and N, and no frequency ratio anywhere."""
+    environment = {"car": "two_mass", "road": "iso_c", "speed": [15.0, 25.0], "control_interval": 0.02}
+    options = {"speeds": [15.0, 25.0], "episodes": 16, "controllers": ("d_min", "skyhook")}
+    comparison = compare(None, environment=environment, **options)
+    text = comparison_table(comparison)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "m/s  km/h" in text
+    assert re.search(r"^ 25 +90 ", text, re.MULTILINE)
+    assert "mean square of acceleration, (m/s²)²" in text
+    assert not re.search(r"\bnu\b|E Z\^2", text)
+    # theory at the middle point that is shown, the last of two
+    best = analysis.optimal_damping("iso_c", car="two_mass", speed=25.0, weights={"acceleration": 1.0})
+    theory = analysis.mean_squares("iso_c", car="two_mass", speed=25.0, damping=best.damping)
+    (line,) = (line for line in text.splitlines() if line.startswith("best constant D") and "(" not in line)
+    acceleration, travel, deflection, load = (float(cell) for cell in line.split()[-4:])
+    assert acceleration == pytest.approx(math.sqrt(theory.acceleration), rel=0.01)
+    assert travel == pytest.approx(1e3 * math.sqrt(theory.travel), rel=0.03)
+    assert deflection == pytest.approx(1e3 * math.sqrt(theory.tyre_deflection), rel=0.02)
+    assert load == pytest.approx(math.sqrt(theory.wheel_load), rel=0.02)
+    page = write(comparison, tmp_path)[0].read_text(encoding="utf-8")
+    assert "wheel load, N" in page
+    assert "travel, mm" in page
+    assert "25 m/s, 90 km/h" in page
+    assert {"root_mean_squares.png", "pareto.png"} <= {file.name for file in tmp_path.iterdir()}

@@ -17,7 +17,7 @@ from sphinx.application import Sphinx
 
 import analysis
 import roadgym
-from agents.figures import save_figure
+from agents.figure_style import save_figure
 from agents.records import write_atomically
 from analysis import explorer
 from analysis.paper import errata, figures
