@@ -16,7 +16,7 @@ from roadgym.task import Task
 
 from .base import Observation, SemiActive
 
-CROSSOVERS = tuple(np.geomspace(0.5, 16.0, 11).round(3).tolist())  # in units of w1
+CROSSOVERS = tuple(np.geomspace(0.125, 16.0, 8).tolist())  # in units of w1
 SHARES = tuple(np.linspace(0, 1, 9).tolist())
 TINY = np.float32(1e-12)  # of a squared relative velocity
 

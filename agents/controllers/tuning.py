@@ -21,8 +21,8 @@ SETTLING, DRIVEN = 20.0, 60.0  # time driven before costs count, and after, in u
 def tuned(make: Callable[..., Controller], task: Task, seed: int = 0) -> Controller:
     """The controller with the parameters, of those that it offers as `Controller.tried`, that cost least.
 
-    Each choice drives the same roads, at the middle of the task's ranges of speed and bandwidth, for a second or so. A
-    controller without parameters is made as it is.
+    Its own default is one of the choices. Each drives the same roads, at the middle of the task's ranges of speed and
+    bandwidth, for a second or so. A controller without parameters is made as it is.
 
     Args:
         make: makes the controller of a task and parameters by name.
@@ -36,7 +36,8 @@ def tuned(make: Callable[..., Controller], task: Task, seed: int = 0) -> Control
     names = list(first.tried)
     if not names:
         return first
-    choices = [dict(zip(names, values, strict=True)) for values in itertools.product(*first.tried.values())]
+    tried = [dict(zip(names, values, strict=True)) for values in itertools.product(*first.tried.values())]
+    choices = [first.parameters, *(choice for choice in tried if choice != first.parameters)]
     return min((make(task, **choice) for choice in choices), key=lambda controller: driven_cost(controller, task, seed))
 
 
