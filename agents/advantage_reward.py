@@ -22,12 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.quadratic import plant_system, value_form
+from roadgym.env import state_names
 from roadgym.task import Task
 
 from .advantage import advantage_forms, state_of
 from .theory import NODES, OperatingGrid
 
-TOLD = ("level", "slope", "speed", "bandwidth")  # after the states of the car, see `roadgym.env.state_names`
 CHOICES = 4  # damping ratios through which the advantage, smooth in D, is interpolated
 MEMORY = 2000  # steps of the whole batch after which what was paid is forgotten
 FIRST = 100.0  # weight of the constant damping in what was paid, at first
@@ -45,7 +45,7 @@ class SavedCost:
         self._dampings = np.linspace(*task.damping_range, CHOICES)
         # polynomials in D that are 1 at one of the choices and 0 at the others
         self._polynomials = np.linalg.inv(np.vander(self._dampings))
-        told = (*task.car.motion.states, *TOLD)
+        told = state_names(task)
         self._columns = np.array([told.index(name) for name in state_of(task)])
         self._state, self._point = np.full((num_envs, len(self._columns)), np.nan), np.full((num_envs, 2), np.nan)
         # for each choice of damping, the coefficients of the products of two signals, and the constant
