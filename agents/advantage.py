@@ -24,4 +24,5 @@ def operating_point(task: Task) -> tuple[str, ...]:
 def has_advantage(task: Task) -> bool:
     """Is it known, and a form of what the batch environment tells of the state?"""
     road = task.road.shaping_filter()
-    return has_quadratic_value(task) and road is not None and set(road.states) <= ROAD_STATES
+    told = road is not None and set(road.states) <= ROAD_STATES and not task.car.motion.filters
+    return has_quadratic_value(task) and told

@@ -13,10 +13,10 @@ from roadgym.task import Task, make_task
 
 from .agent import Agent
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, tune_controller
-from .evaluation import Predictor, evaluate
+from .evaluation import Predictor, evaluate, evaluated_task
 from .names import name_folders, title
 from .progress import work_progress
-from .records import make_folder, plain, versions, write_atomically
+from .records import lasting, make_folder, plain, versions, write_atomically
 from .report import (
     above,
     adjusted_by,
@@ -182,7 +182,7 @@ def compare(
     named = {} if agents is None else agents if isinstance(agents, Mapping) else {AGENT: [agents]}
     plant = observed_in_full(environment)
     task = make_task(**plant)
-    rivals = make_rivals(task, controllers)
+    rivals = make_rivals(make_task(**plant), controllers)  # what evaluations tell beside is not theirs to know
     drivers: dict[str, Predictor] = {}
     for name, seeds in named.items():
         if name in rivals or not seeds:
@@ -203,10 +203,11 @@ def compare(
         )
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    task = evaluated_task(plant)
     rows, references = make_rows(task, learned, evaluations)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     configuration = {
-        "environment": plain(plant),
+        "environment": lasting(plant),
         "episodes": episodes,
         "seed": seed,
         "confidence": CONFIDENCE,

@@ -60,7 +60,8 @@ class Evaluation:
         points: the operating points.
         costs: mean cost (minus the reward) of each episode as driven, shape (points, episodes).
         squares: mean squares of each episode as driven, as told over the task's `cost_unit`: over E Z^2, or SI; in the order of
-            `roadgym.cars.Car.mean_squares`, shape (squares, points, episodes).
+            ``names``, shape (squares, points, episodes).
+        names: of the mean squares: those of `roadgym.cars.Car.mean_squares`, and of two masses weighted_acceleration too.
         switches: crossings of the middle of the damping range a second, shape (points,).
         adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
         control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
@@ -70,6 +71,7 @@ class Evaluation:
     points: tuple[OperatingPoint, ...]
     costs: npt.NDArray[np.float64]
     squares: npt.NDArray[np.float64]
+    names: tuple[str, ...]
     switches: npt.NDArray[np.float64]
     adjusted_costs: npt.NDArray[np.float64]
     adjusted_squares: npt.NDArray[np.float64]
@@ -130,6 +132,12 @@ def make_points(task: Task, speeds: Sequence[float], bandwidths: Sequence[float]
         if not values:
             raise ParameterError(f"at least one {name} is needed")
     return tuple(OperatingPoint(v, b) for v in chosen["speed"] for b in chosen["bandwidth"])
+
+
+def evaluated_task(environment: Mapping[str, Any]) -> Task:
+    """The task of an environment whose car tells what evaluations want to know too, `roadgym.cars.Car.evaluated`."""
+    car = make_task(**environment).car
+    return make_task(**{**environment, "car": car.with_signals(car.evaluated), "natural_frequency": None})
 
 
 def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
@@ -214,14 +222,16 @@ def evaluate(
     Raises:
         ParameterError: a parameter out of range, or too few or too short episodes for a standard error.
     """
-    task = make_task(**environment)
+    task = evaluated_task(environment)
+    environment = {**environment, "car": task.car, "natural_frequency": None}
     points = make_points(task, speeds, bandwidths)
     if whole("episodes", episodes) < FEWEST_EPISODES:
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
     w1 = task.car.natural_frequency
     lasts = 300 / w1 if duration is None else positive("duration", duration)
-    # waves remember their start as long as the car does
-    forgotten = (5 if task.road.lines is None else 10) / (min(map(task.car.decay, task.damping_range)) * w1)
+    # what has no noise remembers its start as long as the car does
+    repeats = task.road.lines is not None or task.road.periodic is not None
+    forgotten = (10 if repeats else 5) / (min(map(task.car.decay, task.damping_range)) * w1)
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:
@@ -292,5 +302,7 @@ def evaluate(
                 adjusted_squares[n, k] = adjust(squares[n, k], np.array(variates), means, np.append(expected[k, n], sizes))
                 adjusted_costs[k] += task.reward[n] * (adjusted_squares[n, k] - squares[n, k])
         served = tuple(each.name for each in known)
-        result[name] = Evaluation(points, costs, squares, switches, adjusted_costs, adjusted_squares, constants, served)
+        result[name] = Evaluation(
+            points, costs, squares, names[:own], switches, adjusted_costs, adjusted_squares, constants, served
+        )
     return result

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from .certificate import Certificate
 from .certification import certify
+from .comfort import comfort_reaction, frequency_weighting
 from .feedback import Feedback, OptimalFeedback, Refinement, WhiteRoadFeedback, optimal_feedback
 from .optimum import Optimum, optimal_damping
 from .paper.euler_maruyama import Estimate, Simulation, simulate
@@ -37,9 +38,11 @@ __all__ = [
     "Stability",
     "WhiteRoadFeedback",
     "certify",
+    "comfort_reaction",
     "covariance",
     "critical_noise",
     "density",
+    "frequency_weighting",
     "lyapunov_exponents",
     "marginal_density",
     "mean_amplitude",

@@ -196,7 +196,7 @@ class Switching:
         self._ratio, bandwidth = float(plain.frequency_ratio(speed)), plain.bandwidth[0]
         road_filter = road.shaping_filter(bandwidth or None)
         assert road_filter is not None
-        self.identities = identities(road_filter, car.motion, self._ratio)
+        self.identities = identities(road_filter, car.motion.own, self._ratio)
         more = rows_of(self.identities)
         self._task = make_task(
             road=road,

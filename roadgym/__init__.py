@@ -18,8 +18,11 @@ from .roads import (
     HarmonicRoad,
     LinearRoad,
     MultiplicativeRoad,
+    Profile,
+    ProfileRoad,
     Road,
     TwoCornerRoad,
+    read_profile,
     sample_road,
 )
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -41,6 +44,8 @@ __all__ = [
     "MultiplicativeRoad",
     "ParameterError",
     "PlantError",
+    "Profile",
+    "ProfileRoad",
     "QuarterCar",
     "Road",
     "SpeedNoise",
@@ -48,6 +53,7 @@ __all__ = [
     "TwoMassCar",
     "WhiteSpeedNoise",
     "__version__",
+    "read_profile",
     "register",
     "sample_road",
 ]

@@ -52,6 +52,8 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "axes ratio": Range(0.2, 5.0, "u0/z0 of an ellipse, 1"),
         "ellipse bandwidth": Range(0.05, 10.0, "delta on an ellipse, whose variance is found by simulation, 1"),
         "ellipse shape": Range(0.3, 100.0, "alpha on an ellipse, 1"),
+        "profile points": Range(16, 1_000_000, "heights of a measured profile"),
+        "profile spacing": Range(1e-3, 10.0, "distance between two of them, m"),
         # the operating point
         "frequency ratio": Range(1e-9, 1e4, "nu = speed * wavenumber/natural_frequency of a plant that is driven, 1"),
         "any speed": Range(0.0, 1e30, "speed, m/s; what counts is the frequency ratio"),
@@ -91,6 +93,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "array entry": Range(-1e50, 1e50, "level, slope and frequency in closed forms"),
         "lag": Range(0.0, 1e50, "lag of an autocovariance, s"),
         "angular rate": Range(1e-12, 1e12, "speed * wavenumber of a spectral density, rad/s"),
+        "lines": Range(1, 4_000_000, "lines of the spectrum of a profile that move a car, at one speed"),
         "operating points": Range(0, 100_000, "operating points whose best damping is asked for together"),
         "driven points": Range(0, 1_000, "operating points that are simulated together"),
         "relative_error": Range(1e-4, 1.0, "standard error over the mean, or tolerance, of what is simulated"),

@@ -16,7 +16,7 @@ from .compiled import LaneFunction
 from .moved import moved
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
 from .record import OBSERVED
-from .reward import check_weights, cost_unit, divergent_terms
+from .reward import asked_signals, check_weights, cost_unit, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise
 
@@ -165,8 +165,8 @@ def check_component(component: Road | SpeedNoise | Car, what: str) -> None:
             raise ParameterError(
                 f"squared of {name} must be at most its {len(motion.signals)} signals, got {component.squared}"
             )
-        if component.rows < len(motion.states):
-            raise ParameterError(f"rows of {name} must be at least {len(motion.states)}, its states, got {component.rows}")
+        if component.rows < len(motion.own.states):
+            raise ParameterError(f"rows of {name} must be at least {len(motion.own.states)}, its states, got {component.rows}")
         if not component.decay(1.0) > 0:
             raise ParameterError(f"drift of {name} must be stable with a damper, where its free motion never ends")
     for role in LANE_FUNCTIONS[what]:
@@ -354,7 +354,7 @@ def make_task(
     """
     the_road = make_road(road)
     noise = make_speed_noise(speed_noise, the_road)
-    the_car = make_car(car, natural_frequency)
+    the_car = make_car(car, natural_frequency).with_signals(asked_signals(reward, observation))
     check_component(the_road, "road")
     check_component(the_car, "car")
     if noise is not None:

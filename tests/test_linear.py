@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from plants import EVERY_ROAD
 from scipy.integrate import quad
 
 import analysis
@@ -14,7 +15,7 @@ from roadgym.plant import Plant
 from roadgym.roads import make_road
 from roadgym.task import make_task
 
-LINEAR = [name for name in ROADS if make_road(name).shaping_filter() is not None]
+LINEAR = [name for name in ROADS if make_road(EVERY_ROAD[name]).shaping_filter() is not None]
 
 
 def system_of(name, damping=0.3, ratio=1.3, bandwidth=0.2):

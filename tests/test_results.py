@@ -25,7 +25,7 @@ def evaluation(costs):
     """An evaluation of these costs, shape (points, episodes), without control variates."""
     points = tuple(OperatingPoint(1.0 + k, 0.1) for k in range(len(costs)))
     squares = np.zeros((5, *costs.shape))
-    return Evaluation(points, costs, squares, np.zeros(len(costs)), costs, squares)
+    return Evaluation(points, costs, squares, TASK.car.mean_squares, np.zeros(len(costs)), costs, squares)
 
 
 def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():

@@ -126,7 +126,10 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym certify --road gaussian --speed 1.5",
     )
     certify.add_argument(
-        "--road", type=component, default="multiplicative", help=f"{', '.join(ROADS)}, or a JSON mapping (%(default)s)"
+        "--road",
+        type=component,
+        default="multiplicative",
+        help=f"{', '.join(ROADS)}, a file with a profile, or a JSON mapping (%(default)s)",
     )
     certify.add_argument(
         "--speed-noise", type=component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind (none)"

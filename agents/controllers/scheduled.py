@@ -39,6 +39,8 @@ class Scheduled(Controller):
                 plant = f"{task.speed_noise.kind} speed noise"
             elif road is not None and road.flatness is None:
                 plant = "an ellipse"
+            elif task.car.motion.filters:
+                plant = "a car with a weighting"
             raise ParameterError(
                 f"{type(self).__name__} needs a gaussian or first-order road, or a multiplicative one on a circle, "
                 f"at a constant speed; got {plant}"

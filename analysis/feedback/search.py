@@ -13,7 +13,7 @@ import numpy as np
 
 from roadgym.cars import MEAN_SQUARES, Car, make_car
 from roadgym.parameters import ParameterError, positive_range, shown, whole, within
-from roadgym.reward import check_weights
+from roadgym.reward import asked_signals, check_weights
 from roadgym.roads import Road, make_road
 from roadgym.task import Task, make_task
 
@@ -96,7 +96,7 @@ def optimal_feedback(
     road = make_road(road)
     if bandwidth is not None:
         road = road.with_bandwidth(within("bandwidth", bandwidth))
-    the_car = make_car(car, natural_frequency)
+    the_car = make_car(car, natural_frequency).with_signals(asked_signals(weights))
     weights = the_car.default_reward if weights is None else weights
     checked = check_weights(weights, the_car, road, None)
     check_plant(road, the_car, [name for name, weight in checked.items() if weight])

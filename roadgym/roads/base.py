@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ..compiled import LEVEL, OWN_ROWS, SLOPE, LaneFunction
 from ..linear import ShapingFilter
 from ..parameters import ParameterError, check_ratio, within
+from .periodic import PeriodicLevel
 
 Self = TypeVar("Self", bound="Road")
 
@@ -33,8 +34,8 @@ class Road(abc.ABC):
     - ``advance``, of a whole block: moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets
       LEVEL_EXCESS.
 
-    What theory needs to know it asks the road: `lines` or `shaping_filter`, of which one is enough for every mean square, the
-    best constant damping and the autocovariance. A road with neither is driven wherever theory would be asked.
+    What theory needs to know it asks the road: `lines`, `shaping_filter` or `periodic`, of which one is enough for every mean
+    square, the best constant damping and the autocovariance. A road with none is driven wherever theory would be asked.
 
     What a component says of itself is checked when it is used (`roadgym.task.check_component`, `roadgym.plant.Plant`). Lane
     functions are trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one that
@@ -86,6 +87,11 @@ class Road(abc.ABC):
 
         A pair for each wave: its share of the variance, and its wavenumber over that of the road.
         """
+        return None
+
+    @property
+    def periodic(self) -> PeriodicLevel | None:
+        """The level of a road that repeats itself and is straight between points, too many lines for a filter; else None."""
         return None
 
     def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter | None:

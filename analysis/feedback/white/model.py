@@ -38,7 +38,9 @@ def check(road: Road, car: Car, weighed: Sequence[str]) -> None:
     motion, road_filter = car.motion, road.shaping_filter()
     terms = {term for name in COORDINATES if name in motion.signals for term in motion.signals[name].terms}
     if not set(COORDINATES) <= set(motion.signals) or len(motion.states) != 4 or not terms <= {*motion.states, "level"}:
-        raise ParameterError(f"car must be of one mass, or have the signals {', '.join(COORDINATES)}, got {car!r}")
+        raise ParameterError(
+            f"car must be of one mass, or of the signals {', '.join(COORDINATES)}, without a weighting, got {car!r}"
+        )
     if road_filter is None or not road_filter.is_first_order:
         raise ParameterError(f"road must be of first order for a {car.kind} car, got {road!r}")
     for ratio in (0.0, 1.0):
