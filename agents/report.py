@@ -80,6 +80,9 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         )
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
+    for name, chosen in comparison.configuration.get("parameters", {}).items():
+        values = ", ".join(f"{parameter} = {value:g}" for parameter, value in chosen.items())
+        found.append((title(name), f"{values}, which cost least of those tried in the middle of the plant's range."))
     for name, seeds in comparison.agents.items():
         given = theory_given(seeds[0])
         training = (

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from .certificate import Certificate
 from .certification import certify
 from .comfort import comfort_reaction, frequency_weighting
-from .feedback import OptimalFeedback, Refinement, optimal_feedback
+from .feedback import Feedback, OptimalFeedback, Refinement, WhiteRoadFeedback, optimal_feedback
 from .identification import Identified, identify
 from .optimum import Optimum, optimal_damping
 from .paper.euler_maruyama import Estimate, Simulation, simulate
@@ -32,6 +32,7 @@ from .spectra import ProfileSpectrum, profile_spectrum
 __all__ = [
     "Certificate",
     "Estimate",
+    "Feedback",
     "Identified",
     "MeanSquares",
     "MomentSystem",
@@ -43,6 +44,7 @@ __all__ = [
     "RoughnessFit",
     "Simulation",
     "Stability",
+    "WhiteRoadFeedback",
     "certify",
     "certify_profile",
     "comfort_reaction",
