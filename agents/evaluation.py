@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -146,6 +147,32 @@ def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
     return own.signals
 
 
+def in_units_of(own: Task, here: Task) -> Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]:
+    """What takes observations of the signals of ``own``, made on the plant of ``here``, to what they are on its own plant.
+
+    Observations are in standard deviations of the road and in terms of its wavenumber; another road has others.
+    """
+    names = own.signals
+
+    def scales(task: Task) -> npt.NDArray[np.float64]:
+        factors = dict(zip(task.car.mean_squares, np.sqrt(task.square_units).tolist(), strict=True))
+        known = factors | {"level": math.sqrt(task.road.variance), "bandwidth": 1.0, "speed": task.speed_unit}
+        known["slope"] = known["level"] * task.road.wavenumber
+        return np.array([known.get(name, known["level"]) for name in names])
+
+    factors = (scales(here) / scales(own)).astype(np.float32)
+    speed = names.index("speed") if "speed" in names else None
+
+    def translated(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        found = observations * factors
+        if speed is not None:
+            ratio = factors[speed] * observations[:, speed] / (1 - observations[:, speed])
+            found[:, speed] = ratio / (1 + ratio)
+        return found
+
+    return (lambda observations: observations) if np.all(factors == 1) else translated
+
+
 def answers(controller: Predictor, task: Task) -> Callable[..., tuple[npt.NDArray[np.float32], Any]]:
     """The controller's ``predict``, whose answers are damping ratios in the range of ``task``; any other raises in use.
 
@@ -172,7 +199,8 @@ def drive(
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any], dict[str, Any]]]:
     """Drive on and on after a reset, handing the controller what it observes of the signals of ``envs``.
 
-    One without a task of its own observes the signals of ``task``, by default all of them.
+    One without a task of its own observes the signals of ``task``, by default all of them. One whose task is on another road
+    is handed them in terms of that road (`in_units_of`).
 
     Yields:
         Observations before the step, damping ratios, rewards and infos of each step.
@@ -182,8 +210,9 @@ def drive(
     observations, _ = envs.reset(seed=seed, options=dict(options))
     state, start = None, np.ones(envs.num_envs, np.bool_)
     predict = answers(controller, task or envs.task)
+    translated = in_units_of(getattr(controller, "task", envs.task), envs.task)
     while True:
-        damping, state = predict(observations[:, columns], state, start, deterministic=True)
+        damping, state = predict(translated(observations[:, columns]), state, start, deterministic=True)
         start = np.zeros(envs.num_envs, np.bool_)
         before = observations
         observations, rewards, _, _, infos = envs.step(damping)

@@ -15,9 +15,10 @@ import numpy as np
 
 from roadgym.cars import Car
 from roadgym.plant import Plant
+from roadgym.resolution import LARGEST_ANGLE
 from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
-from roadgym.task import LARGEST_ANGLE, Task, make_task
+from roadgym.task import Task, make_task
 
 from .checks import FloatArray, check_size
 from .driven import lane_seeds

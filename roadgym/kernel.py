@@ -335,7 +335,7 @@ def reset_blocks(
 
 @compiled
 def drive_roads(begin: int, end: int, record: Any, state: Any, counters: Any, levels: Any, slopes: Any) -> int:
-    """Drive the roads of the blocks ``begin`` to ``end`` alone, from their start on; levels and slopes at each step's end.
+    """Drive the roads of the blocks ``begin`` to ``end`` alone, from their start on; levels and slopes after each few substeps.
 
     They meet the words of control intervals of one substep.
 
@@ -353,7 +353,7 @@ def drive_roads(begin: int, end: int, record: Any, state: Any, counters: Any, le
         for i in range(LANES):
             start_lane(plant, lanes, i, counts, words, nothing_forced, first)
         for k in range(levels.shape[0]):
-            if k > 0:
+            for _ in range(plant.substeps if k > 0 else 0):
                 draw_words(plant, words, counts, INTERVAL, plant.road_words)
                 call(plant.road_advance, lanes.ctypes.data, words.ctypes.data, plant.road_table)
                 for i in range(LANES):

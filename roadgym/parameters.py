@@ -49,6 +49,8 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "shape": Range(0.02, 1e4, "alpha = 2 delta Omega u0^2/sigma^2 of a bounded road that is driven, 1"),
         "constant shape": Range(1e-12, 1e12, "alpha in closed forms, 1"),
         "corner ratio": Range(1.0, 100.0, "second over first corner of a road, 1"),
+        "waviness": Range(1.5, 3.5, "w of a road whose spectral density falls with the power w of the frequency, 1"),
+        "band ratio": Range(2.0, 1e4, "highest frequency of the band of such a road, or that of its break, over the lowest, 1"),
         "axes ratio": Range(0.2, 5.0, "u0/z0 of an ellipse, 1"),
         "ellipse bandwidth": Range(0.05, 10.0, "delta on an ellipse, whose variance is found by simulation, 1"),
         "ellipse shape": Range(0.3, 100.0, "alpha on an ellipse, 1"),

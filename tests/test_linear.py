@@ -67,7 +67,7 @@ def test_kernel_moves_the_state_as_the_matrices_do(name):
     plant.start(np.arange(lanes, dtype=np.uint64))
     for row, value in zip(kept, start, strict=True):
         plant.set_row(row, value)
-    if name == "two_corner":  # its level is a sum of its states
+    if name in ("two_corner", "power_law"):  # whose level is a sum of their states
         plant.set_row("level", task.road.shaping_filter().level @ start[2:])
     if name == "harmonic":  # which lives on a circle, to which its kernel returns it
         start[2:] *= np.sqrt(2) / np.hypot(*start[2:])

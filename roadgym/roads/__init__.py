@@ -14,6 +14,7 @@ from .gaussian import GaussianRoad
 from .harmonic import HarmonicRoad
 from .linear import LinearRoad
 from .multiplicative import MultiplicativeRoad
+from .power_law import PowerLawRoad
 from .profile import ProfileRoad
 from .profile_files import Profile, read_profile
 from .two_corner import TwoCornerRoad
@@ -25,6 +26,7 @@ __all__ = [
     "HarmonicRoad",
     "LinearRoad",
     "MultiplicativeRoad",
+    "PowerLawRoad",
     "Profile",
     "ProfileRoad",
     "Road",
@@ -43,6 +45,7 @@ ROADS: Registry[Road] = Registry(
         "gaussian": GaussianRoad,
         "multiplicative": MultiplicativeRoad,
         "two_corner": TwoCornerRoad,
+        "power_law": PowerLawRoad,
         "profile": ProfileRoad,
     },
     presets={f"iso_{name.lower()}": {"kind": "first_order", "iso_class": name} for name in iso8608.MEANS},

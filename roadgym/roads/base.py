@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
 
@@ -51,6 +52,7 @@ class Road(abc.ABC):
     rows: ClassVar[int] = OWN_ROWS  # of its own, from COEFFICIENT on
     takes_phase_noise: ClassVar[bool] = False  # does ``advance`` heed TURN_EXCESS and TURN_VARIANCE, and turn backwards too
     constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
+    largest_loss: ClassVar[float] = math.inf  # bandwidth times the angle of a step up to which its law is right
     loss_range: ClassVar[str] = "loss"  # range of the bandwidth times the angle of a substep, in `roadgym.parameters.RANGES`
     prepare: ClassVar[LaneFunction | None] = None
     start: ClassVar[LaneFunction]
