@@ -2,7 +2,7 @@
 
     python examples/measured_road.py --profile profile.csv --output runs/measured
 
-takes some minutes. Without a file one is made, a road of class C whose long waves are higher than the standard's. The fitted road
+takes some minutes. Without a file one is made, of class C, with longer waves than the standard's. The fitted road
 never repeats itself, so an agent cannot learn the profile by heart; what it loses against driving on the road it was trained on
 is told beside what the best constant damping loses.
 """
