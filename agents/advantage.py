@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from analysis.quadratic import advantage_forms, has_quadratic_value
-from roadgym.task import Task
+from roadgym.task import OPERATING_POINT, Task
 
-__all__ = ["STATE", "advantage_forms", "has_advantage"]
+__all__ = ["advantage_forms", "has_advantage", "operating_point", "state_of"]
 
-STATE = ("displacement", "velocity", "level", "slope")  # (Y, X, Z, U)
+ROAD_STATES = {"level", "slope"}  # those of a road that the environments tell
+
+
+def state_of(task: Task) -> tuple[str, ...]:
+    """Names of the states of car and road, such as (Y, X, Z, U); of the car alone on a road that is no filter."""
+    road = task.road.shaping_filter()
+    return task.car.motion.states + (() if road is None else road.states)
+
+
+def operating_point(task: Task) -> tuple[str, ...]:
+    """Names of what makes an operating point of ``task``: the speed, and the bandwidth on a road that has one."""
+    return OPERATING_POINT if task.bandwidth[1] > 0 else OPERATING_POINT[:1]
 
 
 def has_advantage(task: Task) -> bool:
-    """Is it known, and a form of what the batch environment tells of the state: on second-order roads at a constant speed?"""
+    """Is it known, and a form of what the batch environment tells of the state?"""
     road = task.road.shaping_filter()
-    return has_quadratic_value(task) and road is not None and task.car.motion.states + road.states == STATE
+    told = road is not None and set(road.states) <= ROAD_STATES and not task.car.motion.filters
+    return has_quadratic_value(task) and told

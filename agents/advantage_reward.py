@@ -22,9 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.quadratic import plant_system, value_form
+from roadgym.env import state_names
 from roadgym.task import Task
 
-from .advantage import advantage_forms
+from .advantage import advantage_forms, state_of
 from .theory import NODES, OperatingGrid
 
 CHOICES = 4  # damping ratios through which the advantage, smooth in D, is interpolated
@@ -44,9 +45,11 @@ class SavedCost:
         self._dampings = np.linspace(*task.damping_range, CHOICES)
         # polynomials in D that are 1 at one of the choices and 0 at the others
         self._polynomials = np.linalg.inv(np.vander(self._dampings))
-        self._state = np.full((num_envs, 6), np.nan)
+        told = state_names(task)
+        self._columns = np.array([told.index(name) for name in state_of(task)])
+        self._state, self._point = np.full((num_envs, len(self._columns)), np.nan), np.full((num_envs, 2), np.nan)
         # for each choice of damping, the coefficients of the products of two signals, and the constant
-        self._first, self._second = np.triu_indices(4)
+        self._first, self._second = np.triu_indices(len(self._columns))
         self._coefficients = np.empty((num_envs, CHOICES, len(self._first) + 1))
         self._rho, self._node = np.ones(num_envs), np.zeros(num_envs, np.intp)
         # cost over rho, and its weight, of late near each node; at first those of the constant damping
@@ -54,10 +57,10 @@ class SavedCost:
 
     def look(self, state: npt.NDArray[np.float64]) -> None:
         """Note the state, as of `roadgym.vector.QuarterCarVectorEnv.state`; work out the forms where the point is new."""
-        before, self._state = self._state, state
-        new = np.flatnonzero((self._state[:, 4:] != before[:, 4:]).any(axis=1))
+        before, self._point, self._state = self._point, state[:, -2:], state[:, self._columns]
+        new = np.flatnonzero((self._point != before).any(axis=1))
         if len(new):
-            points = self._state[new, 4:]
+            points = self._point[new]
             # any constant damping will do for the comparison; the nearest node's is almost the best one
             doubled = points * [1, 2]
             node = np.rint(self._grid.place(doubled / (1 + doubled))).astype(int)

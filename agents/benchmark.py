@@ -21,7 +21,8 @@ import numpy as np
 from roadgym import ENVIRONMENT_ID
 from roadgym.installation import needs
 from roadgym.plant import Plant
-from roadgym.task import LARGEST_ANGLE, make_task
+from roadgym.resolution import LARGEST_ANGLE
+from roadgym.task import make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 REPEATS = 7

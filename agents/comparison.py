@@ -12,11 +12,11 @@ from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 
 from .agent import Agent
-from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller
-from .evaluation import Predictor, evaluate
+from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, tune_controller
+from .evaluation import Predictor, evaluate, evaluated_task
 from .names import name_folders, title
 from .progress import work_progress
-from .records import make_folder, plain, versions, write_atomically
+from .records import lasting, make_folder, plain, versions, write_atomically
 from .report import (
     above,
     adjusted_by,
@@ -56,6 +56,7 @@ __all__ = [  # with names that live in `agents.results` and `agents.report`
     "LEAST_ROOM",
     "RIVALS",
     "SPEEDS",
+    "WHEEL_RIVALS",
     "Comparison",
     "MeanGap",
     "Row",
@@ -85,6 +86,16 @@ __all__ = [  # with names that live in `agents.results` and `agents.report`
     "write",
 ]
 RIVALS = ("analytic_optimum", "d_min", "d_max", "skyhook", "one_step_lookahead", "optimal_feedback")
+WHEEL_RIVALS = (  # of a car with a wheel of its own
+    *RIVALS[:-2],
+    "groundhook",
+    "hybrid",
+    "power_driven",
+    "clipped_lqr",
+    "one_step_lookahead",
+    "mixed_lookahead",
+    "optimal_feedback",
+)
 SPEEDS = (0.7, 1.0, 1.5, 2.0, 3.0)
 BANDWIDTHS = (0.1, 0.3)
 AGENT = "agent"
@@ -123,15 +134,18 @@ def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], d
 
 
 def make_rivals(task: Task, names: Sequence[str] | None) -> dict[str, Controller]:
-    """The rivals by name, the analytic optimum first; by default those of `RIVALS` that this task allows.
+    """The rivals by name, the analytic optimum first; their parameters are tuned on the task.
+
+    By default they are those of `RIVALS` that this task allows, of `WHEEL_RIVALS` where the car has a wheel of its own.
 
     Raises:
         ParameterError: an unknown controller, or one that needs what the task has not.
     """
     rivals = {"analytic_optimum": make_controller("analytic_optimum", task)}
-    for name in RIVALS if names is None else names:
+    usual = WHEEL_RIVALS if "wheel_velocity" in task.car.mean_squares else RIVALS
+    for name in usual if names is None else names:
         try:
-            rivals[name] = make_controller(name, task)
+            rivals[name] = tune_controller(name, task)
         except ParameterError:
             if names is not None:
                 raise
@@ -157,8 +171,8 @@ def compare(
         environment: parameters of the environment, with ranges that hold the operating points. Every controller is handed the
             signals that it needs, whatever the environment observes.
         speeds, bandwidths: the grid of operating points, m/s and 1.
-        controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS` that the plant
-            allows.
+        controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS`, or of
+            `WHEEL_RIVALS`, that the plant allows. Those that have a parameter are tuned on the plant.
         episodes, seed: as for `agents.evaluate`.
         report: called as ``report(what, done, in all)``; by default progress is told on the error stream.
 
@@ -168,7 +182,7 @@ def compare(
     named = {} if agents is None else agents if isinstance(agents, Mapping) else {AGENT: [agents]}
     plant = observed_in_full(environment)
     task = make_task(**plant)
-    rivals = make_rivals(task, controllers)
+    rivals = make_rivals(make_task(**plant), controllers)  # what evaluations tell beside is not theirs to know
     drivers: dict[str, Predictor] = {}
     for name, seeds in named.items():
         if name in rivals or not seeds:
@@ -189,13 +203,15 @@ def compare(
         )
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    task = evaluated_task(plant)
     rows, references = make_rows(task, learned, evaluations)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     configuration = {
-        "environment": plain(plant),
+        "environment": lasting(plant),
         "episodes": episodes,
         "seed": seed,
         "confidence": CONFIDENCE,
+        "parameters": {name: rival.parameters for name, rival in rivals.items() if rival.parameters},
         "control_variates": evaluations["analytic_optimum"].control_variates,
         "balances": evaluations["analytic_optimum"].balances,
         "best_known_feedback": references,

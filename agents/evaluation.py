@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -60,7 +61,8 @@ class Evaluation:
         points: the operating points.
         costs: mean cost (minus the reward) of each episode as driven, shape (points, episodes).
         squares: mean squares of each episode as driven, as told over the task's `cost_unit`: over E Z^2, or SI; in the order of
-            `roadgym.cars.Car.mean_squares`, shape (squares, points, episodes).
+            ``names``, shape (squares, points, episodes).
+        names: of the mean squares: those of `roadgym.cars.Car.mean_squares`, and of two masses weighted_acceleration too.
         switches: crossings of the middle of the damping range a second, shape (points,).
         adjusted_costs, adjusted_squares: the same less what the control variates tell of each road's luck.
         control_variates: the constant damping ratios that served, 1; empty where nothing is adjusted.
@@ -70,6 +72,7 @@ class Evaluation:
     points: tuple[OperatingPoint, ...]
     costs: npt.NDArray[np.float64]
     squares: npt.NDArray[np.float64]
+    names: tuple[str, ...]
     switches: npt.NDArray[np.float64]
     adjusted_costs: npt.NDArray[np.float64]
     adjusted_squares: npt.NDArray[np.float64]
@@ -132,10 +135,42 @@ def make_points(task: Task, speeds: Sequence[float], bandwidths: Sequence[float]
     return tuple(OperatingPoint(v, b) for v in chosen["speed"] for b in chosen["bandwidth"])
 
 
+def evaluated_task(environment: Mapping[str, Any]) -> Task:
+    """The task of an environment whose car tells what evaluations want to know too, `roadgym.cars.Car.evaluated`."""
+    car = make_task(**environment).car
+    return make_task(**{**environment, "car": car.with_signals(car.evaluated), "natural_frequency": None})
+
+
 def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
     """The signals that a controller is handed: those that its own task observes, or else those of ``task``."""
     own: Task = getattr(controller, "task", task)
     return own.signals
+
+
+def in_units_of(own: Task, here: Task) -> Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]:
+    """What takes observations of the signals of ``own``, made on the plant of ``here``, to what they are on its own plant.
+
+    Observations are in standard deviations of the road and in terms of its wavenumber; another road has others.
+    """
+    names = own.signals
+
+    def scales(task: Task) -> npt.NDArray[np.float64]:
+        factors = dict(zip(task.car.mean_squares, np.sqrt(task.square_units).tolist(), strict=True))
+        known = factors | {"level": math.sqrt(task.road.variance), "bandwidth": 1.0, "speed": task.speed_unit}
+        known["slope"] = known["level"] * task.road.wavenumber
+        return np.array([known.get(name, known["level"]) for name in names])
+
+    factors = (scales(here) / scales(own)).astype(np.float32)
+    speed = names.index("speed") if "speed" in names else None
+
+    def translated(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        found = observations * factors
+        if speed is not None:
+            ratio = factors[speed] * observations[:, speed] / (1 - observations[:, speed])
+            found[:, speed] = ratio / (1 + ratio)
+        return found
+
+    return (lambda observations: observations) if np.all(factors == 1) else translated
 
 
 def answers(controller: Predictor, task: Task) -> Callable[..., tuple[npt.NDArray[np.float32], Any]]:
@@ -164,7 +199,8 @@ def drive(
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[Any], dict[str, Any]]]:
     """Drive on and on after a reset, handing the controller what it observes of the signals of ``envs``.
 
-    One without a task of its own observes the signals of ``task``, by default all of them.
+    One without a task of its own observes the signals of ``task``, by default all of them. One whose task is on another road
+    is handed them in terms of that road (`in_units_of`).
 
     Yields:
         Observations before the step, damping ratios, rewards and infos of each step.
@@ -174,8 +210,9 @@ def drive(
     observations, _ = envs.reset(seed=seed, options=dict(options))
     state, start = None, np.ones(envs.num_envs, np.bool_)
     predict = answers(controller, task or envs.task)
+    translated = in_units_of(getattr(controller, "task", envs.task), envs.task)
     while True:
-        damping, state = predict(observations[:, columns], state, start, deterministic=True)
+        damping, state = predict(translated(observations[:, columns]), state, start, deterministic=True)
         start = np.zeros(envs.num_envs, np.bool_)
         before = observations
         observations, rewards, _, _, infos = envs.step(damping)
@@ -214,14 +251,16 @@ def evaluate(
     Raises:
         ParameterError: a parameter out of range, or too few or too short episodes for a standard error.
     """
-    task = make_task(**environment)
+    task = evaluated_task(environment)
+    environment = {**environment, "car": task.car, "natural_frequency": None}
     points = make_points(task, speeds, bandwidths)
     if whole("episodes", episodes) < FEWEST_EPISODES:
         raise ParameterError(f"episodes must be at least {FEWEST_EPISODES} to have a standard error, got {episodes}")
     w1 = task.car.natural_frequency
     lasts = 300 / w1 if duration is None else positive("duration", duration)
-    # waves remember their start as long as the car does
-    forgotten = (5 if task.road.lines is None else 10) / (min(map(task.car.decay, task.damping_range)) * w1)
+    # what has no noise remembers its start as long as the car does
+    repeats = task.road.lines is not None or task.road.periodic is not None
+    forgotten = (10 if repeats else 5) / (min(map(task.car.decay, task.damping_range)) * w1)
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:
@@ -292,5 +331,7 @@ def evaluate(
                 adjusted_squares[n, k] = adjust(squares[n, k], np.array(variates), means, np.append(expected[k, n], sizes))
                 adjusted_costs[k] += task.reward[n] * (adjusted_squares[n, k] - squares[n, k])
         served = tuple(each.name for each in known)
-        result[name] = Evaluation(points, costs, squares, switches, adjusted_costs, adjusted_squares, constants, served)
+        result[name] = Evaluation(
+            points, costs, squares, names[:own], switches, adjusted_costs, adjusted_squares, constants, served
+        )
     return result

@@ -19,7 +19,7 @@ from gymnasium import spaces
 from roadgym.parameters import ParameterError, shown, whole
 from roadgym.task import OPERATING_POINT, Task
 
-from .advantage import STATE, advantage_forms, has_advantage
+from .advantage import advantage_forms, has_advantage, operating_point, state_of
 from .theory import NODES, OperatingGrid, remembered
 
 Rows = npt.NDArray[np.float32]
@@ -29,7 +29,11 @@ FEATURES = ("signals", "products", "lookahead")
 
 def has_lookahead(task: Task, kinds: Sequence[str]) -> bool:
     """Is the lookahead among the features of these ``kinds``: asked for, known to theory, and the whole state observed?"""
-    return "lookahead" in kinds and has_advantage(task) and all(name in task.signals for name in (*STATE, *OPERATING_POINT))
+    return (
+        "lookahead" in kinds
+        and has_advantage(task)
+        and all(name in task.signals for name in (*state_of(task), *operating_point(task)))
+    )
 
 
 class Features:
@@ -85,7 +89,7 @@ def _lookahead_table(task: Task) -> npt.NDArray[np.float32]:
     grid, (low, high) = OperatingGrid.of(task), task.damping_range
     points = (grid.damping.ravel(), grid.ratio.ravel(), grid.bandwidth.ravel())
     forms, constants = advantage_forms(task, [low, (low + high) / 2, high], *points)
-    first, second = np.triu_indices(4)
+    first, second = np.triu_indices(len(state_of(task)))
     table = np.empty((NODES**2, 2, len(first) + 1))
     table[..., :-1] = (forms[:, :0:-1] - forms[:, :1])[..., first, second] * np.where(first == second, 1, 2)
     table[..., -1] = constants[:, :0:-1] - constants[:, :1]
@@ -98,12 +102,12 @@ class _Lookahead:
     """Advantages of the firmest and of the middle damping over the softest, interpolated between operating points."""
 
     def __init__(self, task: Task) -> None:
-        self._columns = [task.signals.index(name) for name in STATE]
-        self._point = [task.signals.index(name) for name in OPERATING_POINT]
+        self._columns = [task.signals.index(name) for name in state_of(task)]
+        self._point = [task.signals.index(name) for name in operating_point(task)]
         self._grid = OperatingGrid.of(task)
-        self._first, self._second = np.triu_indices(4)
+        self._first, self._second = np.triu_indices(len(self._columns))
         self._table = _lookahead_table(task)
-        self._points = np.empty((0, 2), np.float32)
+        self._points = np.empty((0, len(self._point)), np.float32)
         self._forms = np.empty((0, *self._table.shape[2:]), np.float32)
 
     def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -118,7 +122,7 @@ class _Lookahead:
 
     def _interpolate(self, points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """The forms at observed operating points, shape (n, 2, monomials)."""
-        place = self._grid.place(points)
+        place = self._grid.place(np.pad(points, [(0, 0), (0, 2 - points.shape[1])]))  # no bandwidth is one of 0
         node = np.minimum(place.astype(np.intp), NODES - 2)
         share = (place - node).astype(np.float32)
         forms = np.zeros((len(points), *self._table.shape[2:]), np.float32)

@@ -21,13 +21,21 @@ CONTROLLERS_SHOWN = {  # by the name in `agents.CONTROLLERS`: the name that is s
         "continuous skyhook",
         "the force of a damper between body and sky, as far as the damper can give it",
     ),
+    "groundhook": ("groundhook", "D_max where the damper would brake the wheel, else D_min"),
+    "hybrid": ("hybrid", "a mixture of skyhook and groundhook"),
     "add": ("ADD", "acceleration-driven: D_max where the damper would reduce the body's acceleration, else D_min"),
     "mixed_skyhook_add": ("mixed skyhook-ADD", "skyhook where the body moves slowly, ADD where it moves fast"),
+    "one_sensor_mix": ("one-sensor mix", "D_max where the body moves slowly, D_min where it moves fast"),
+    "power_driven": ("power-driven", "the D at which the suspension gives back no power, as far as the damper can give it"),
     "least_acceleration": ("least acceleration", "the D that makes the body's acceleration least at this instant"),
     "clipped_lqr": ("clipped LQR", "the best linear active force, as far as the damper can give it"),
     "one_step_lookahead": (
         "one-step lookahead",
         "the D that is best for one interval if the best constant D took over after it",
+    ),
+    "mixed_lookahead": (
+        "mixed lookahead",
+        "the D that is best for one interval if what follows cost something between the best constant D and an active force",
     ),
     "optimal_feedback": ("optimal feedback", "the least cost for who sees the whole state, by dynamic programming"),
 }

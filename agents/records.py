@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from roadgym import files
+from roadgym import ROADS, files
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, shown
 
@@ -129,6 +129,17 @@ def differing(known: Any, value: Any, show: Callable[[Any], str] = repr) -> tupl
         return ", ".join(f"{show(name)}: {show(side[name]) if name in side else 'not given'}" for name in names)
 
     return f"{{{told(known)}}}", f"{{{told(value)}}}"
+
+
+def lasting(environment: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of the environment in terms of what JSON knows, and a road in place of the file that it is read from.
+
+    Raises:
+        ParameterError: such a file that cannot be read.
+    """
+    road = {"road": ROADS.lasting(environment["road"])} if "road" in environment else {}
+    found: dict[str, Any] = plain({**environment, **road})
+    return found
 
 
 def plain(value: Any) -> Any:

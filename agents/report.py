@@ -80,6 +80,9 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         )
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
+    for name, chosen in comparison.configuration.get("parameters", {}).items():
+        values = ", ".join(f"{parameter} = {value:g}" for parameter, value in chosen.items())
+        found.append((title(name), f"{values}, which cost least of those tried in the middle of the plant's range."))
     for name, seeds in comparison.agents.items():
         given = theory_given(seeds[0])
         training = (
@@ -250,18 +253,21 @@ def with_error(value: float, error: float) -> str:
     """``value`` with the standard error of its last digits in brackets: 0.2561(12) is 0.2561 ± 0.0012."""
     if not np.isfinite(error) or error <= 0:
         return f"{value:.4f}"
-    digits = _decimals(error)
+    digits = _decimals(value, error)
     return f"{value:.{digits}f}({round(error * 10**digits)})"
 
 
-def _decimals(error: float) -> int:
-    """Decimals that show two digits of a standard error."""
-    return min(max(1 - int(np.floor(np.log10(error))), 0), 6) if np.isfinite(error) and error > 0 else 4
+def _decimals(value: float, error: float) -> int:
+    """Decimals that show two digits of a standard error, but no more than six digits of the value."""
+    if not (np.isfinite(error) and error > 0):
+        return 4
+    most = 6 + max(0, -int(np.floor(np.log10(abs(value)))) - 1) if value else 6
+    return min(max(1 - int(np.floor(np.log10(error))), 0), most)
 
 
 def _theory(row: Row) -> str:
     """The exact cost, with no fewer decimals than the cost as driven has; nothing where there is none."""
-    return "" if row.theory is None else f"{row.theory:.{max(4, _decimals(row.standard_error))}f}"
+    return "" if row.theory is None else f"{row.theory:.{max(4, _decimals(row.cost, row.standard_error))}f}"
 
 
 def _tables(comparison: Comparison) -> list[dict[str, Any]]:

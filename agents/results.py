@@ -290,7 +290,7 @@ def make_rows(
                     gain=ratio(saved, best[k][None], freedom),
                     gap_closed=None if room is None else ratio(saved, room[None], freedom),
                     switches=float(np.mean([evaluation.switches[k] for evaluation in seeds])),
-                    squares=dict(zip(task.car.mean_squares, squares.tolist(), strict=True)),
+                    squares=dict(zip(seeds[0].names, squares.tolist(), strict=True)),
                 )
             )
     return tuple(rows), references

@@ -73,13 +73,18 @@ class OperatingGrid:
     def __init__(self, task: Task) -> None:
         ends = np.array([[task.frequency_ratio(speed) for speed in task.speed], [2 * delta for delta in task.bandwidth]])
         ends = ends / (1 + ends)
-        self._low, self._step = ends[:, 0], np.maximum(ends[:, 1] - ends[:, 0], 1e-9) / (NODES - 1)
-        shares = self._low + self._step * np.stack(np.meshgrid(range(NODES), range(NODES), indexing="ij"), axis=-1)
+        self._low, widths = ends[:, 0], ends[:, 1] - ends[:, 0]
+        self._step = np.maximum(widths, 1e-9) / (NODES - 1)
+        shares = self._low + widths / (NODES - 1) * np.stack(np.meshgrid(range(NODES), range(NODES), indexing="ij"), axis=-1)
         self.ratio, twice_bandwidth = np.moveaxis(shares / (1 - shares), -1, 0)
         self.bandwidth = twice_bandwidth / 2
         speed = 1 / task.frequency_ratio(1.0)
-        pairs = zip(self.ratio.ravel().tolist(), self.bandwidth.ravel().tolist(), strict=True)
-        self.damping = np.array([float(optimum(task, nu * speed, delta).damping) for nu, delta in pairs]).reshape(NODES, NODES)
+        pairs = list(zip(self.ratio.ravel().tolist(), self.bandwidth.ravel().tolist(), strict=True))
+        found: dict[tuple[float, float], float] = {}  # without a bandwidth all nodes of a speed are one point
+        for nu, delta in pairs:
+            if (nu, delta) not in found:
+                found[nu, delta] = float(optimum(task, nu * speed, delta).damping)
+        self.damping = np.array([found[pair] for pair in pairs]).reshape(NODES, NODES)
 
     @staticmethod
     @remembered

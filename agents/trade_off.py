@@ -50,7 +50,7 @@ def optimal_front(
         seed, episodes = comparison.configuration["seed"], comparison.configuration["episodes"]
         options = {"speeds": [point.speed], "bandwidths": [point.bandwidth], "episodes": episodes, "seed": seed}
         driven = evaluate({"optimal": feedback}, environment=environment, **options)["optimal"]
-        found.append([driven.mean_squares[comparison.task.car.mean_squares.index(name), 0] for name in names])
+        found.append([driven.mean_squares[driven.names.index(name), 0] for name in names])
     if report:
         report("optimal feedbacks of other weights", len(FRONT), len(FRONT))
     return np.array(found)

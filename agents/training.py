@@ -42,6 +42,7 @@ from .records import (
     LOCK,
     PACKAGES,
     differing,
+    lasting,
     locked,
     make_folder,
     make_output,
@@ -298,7 +299,8 @@ def train(
             own = description["hyperparameters"]
             inner = own | {"wrappers": own.get("wrappers", [])[: -len(names)]} if hyperparameters is None else hyperparameters
             asked = complete(with_wrappers(inner, names))
-        _refuse_contradictions(path, description, algorithm, environment, asked, seed)
+        held = None if environment is None else lasting(environment)
+        _refuse_contradictions(path, description, algorithm, held, asked, seed)
         if timesteps is not None and outlasts(description, timesteps):
             known = description["timesteps"]
             raise ParameterError(f"timesteps must be at least the {known} of the agent in {str(path)!r}, got {timesteps}")
@@ -307,7 +309,7 @@ def train(
         algorithm, seed = "ppo" if algorithm is None else algorithm, 0 if seed is None else seed
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
         hyperparameters = with_wrappers(hyperparameters, names)
-        environment = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
+        environment = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
         task = make_task(**environment)
         description = {
             "format": FORMAT,

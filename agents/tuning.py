@@ -27,7 +27,7 @@ from roadgym.task import Task, make_task
 from .agent import DEFAULT_ENVIRONMENT, Agent, algorithm_class, complete
 from .errors import AgentError
 from .evaluation import evaluate, make_points
-from .records import Purpose, differing, locked, make_folder, make_output, plain, stream_seed, write_atomically
+from .records import Purpose, differing, lasting, locked, make_folder, make_output, stream_seed, write_atomically
 from .theory import optimum
 from .training import load_hyperparameters, make_model
 from .wrappers import with_wrappers
@@ -129,7 +129,7 @@ def tune(
     whole("seed", seed, low=0)
     base = with_wrappers(load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters, ())
     total = base["n_timesteps"] = whole("timesteps", int(base.get("n_timesteps", 0)) if timesteps is None else timesteps)
-    plant: dict[str, Any] = plain(DEFAULT_ENVIRONMENT if environment is None else environment)
+    plant = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
     task = make_task(**plant)
     torch.set_num_threads(1)  # as in training
     asked = {"algorithm": algorithm, "environment": plant, "hyperparameters": complete(base), "seed": seed}

@@ -442,5 +442,7 @@ def _with_advantage(env: Environment | Batch) -> Task:
     """The task, which must have an advantage."""
     task = task_of(env)
     if not has_advantage(task):
-        raise ParameterError("env must be of a plant whose advantage theory knows: a second-order road at a constant speed")
+        raise ParameterError(
+            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed"
+        )
     return task

@@ -15,29 +15,47 @@ from typing import TYPE_CHECKING, Any
 
 from .certificate import Certificate
 from .certification import certify
-from .feedback import OptimalFeedback, Refinement, optimal_feedback
+from .comfort import comfort_reaction, frequency_weighting
+from .feedback import Feedback, OptimalFeedback, Refinement, WhiteRoadFeedback, optimal_feedback
+from .identification import Identified, identify
 from .optimum import Optimum, optimal_damping
 from .paper.euler_maruyama import Estimate, Simulation, simulate
 from .paper.exponents import Stability, simulate_stability
 from .paper.rotating_frame import MomentSystem, mean_amplitude, moment_system
 from .paper.stability import critical_noise, lyapunov_exponents, rotation_numbers
+from .profile_certificate import ProfileCertificate, certify_profile
 from .response import MeanSquares, covariance, mean_squares
 from .roads import density, marginal_density, spectral_density
+from .roughness import RoughnessFit, expected_iri, fit_iso8608, international_roughness_index
+from .spectra import ProfileSpectrum, profile_spectrum
 
 __all__ = [
     "Certificate",
     "Estimate",
+    "Feedback",
+    "Identified",
     "MeanSquares",
     "MomentSystem",
     "OptimalFeedback",
     "Optimum",
+    "ProfileCertificate",
+    "ProfileSpectrum",
     "Refinement",
+    "RoughnessFit",
     "Simulation",
     "Stability",
+    "WhiteRoadFeedback",
     "certify",
+    "certify_profile",
+    "comfort_reaction",
     "covariance",
     "critical_noise",
     "density",
+    "expected_iri",
+    "fit_iso8608",
+    "frequency_weighting",
+    "identify",
+    "international_roughness_index",
     "lyapunov_exponents",
     "marginal_density",
     "mean_amplitude",
@@ -45,6 +63,7 @@ __all__ = [
     "moment_system",
     "optimal_damping",
     "optimal_feedback",
+    "profile_spectrum",
     "rotation_numbers",
     "simulate",
     "simulate_stability",

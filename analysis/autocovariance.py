@@ -4,6 +4,7 @@
     second order  R(t) = E Z^2 e^(-delta a) (cos b a + delta/b sin b a),          b = sqrt(1 - delta^2)   (7), (8)
     harmonic      R(t) = E Z^2 cos(a) e^(-w(t)/2),                                                        (2), (18), (25), (30)
     waves         the sum of such terms; any other filter of white noise by its matrix exponential,
+    profile       that of its points under a spline (`roadgym.roads.periodic`),
 
 w(t) being the variance of the phase's random part: sigma^2 t under white noise, sigma^2 (t - (1 - e^(-w_g t))/w_g) under
 low-pass, sigma^2 (1 - e^(-w_g t))/w_g under high-pass noise. Equation numbers are those of Wedig (2020).
@@ -43,6 +44,8 @@ def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLik
         spread = _phase_variance(speed_noise, t)
         terms = [share * np.cos(k * angle) * np.exp(-k * k * spread / 2) for share, k in road.lines]
         return np.asarray(road.variance * np.sum(terms, axis=0))
+    if road.periodic is not None and speed_noise is None:
+        return road.variance * road.periodic.autocovariance(angle)
     road_filter = road.shaping_filter()
     if speed_noise is not None or road_filter is None:
         raise ParameterError(no_closed_form(road, speed_noise))
@@ -61,7 +64,7 @@ def autocovariance(road: Road, speed_noise: SpeedNoise | None, lag: npt.ArrayLik
 def no_closed_form(road: Road, speed_noise: SpeedNoise | None) -> str:
     """Why a plant has no autocovariance in closed form, in words."""
     if speed_noise is None:
-        return f"none is known for a {road.kind} road, which declares neither lines nor a filter"
+        return f"none is known for a {road.kind} road, which declares neither lines nor a filter nor a period"
     return f"with {speed_noise.kind} noise there is no closed form on a {road.kind} road"
 
 

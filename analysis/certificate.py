@@ -7,6 +7,7 @@ import json
 import math
 import re
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 FALSE_ALARM_RATE = 1e-3  # probability, at most, that a sound plant does not pass
@@ -50,6 +51,26 @@ class Line:
     p_value: float | None = None
     passed: bool
 
+    def figures(self) -> dict[str, Any]:
+        """The line by name for JSON, None in place of what is not finite."""
+        return {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in dataclasses.asdict(self).items()
+        }
+
+
+def table_of(lines: Sequence[Line]) -> list[str]:
+    """A table of lines with its head, as lines of `WIDTH` columns, with shorter names."""
+    rows = [("", "measured", "expected", "error", "p", ""), *(_cells(line) for line in lines)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    room = min(widths[0], WIDTH - sum(2 + width for width in widths[1:]))
+    text = []
+    for name, *cells in rows:
+        *above, last = textwrap.wrap(name, room, subsequent_indent="  ") or [""]
+        padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        text += [*above, "  ".join([last.ljust(room), *padded]).rstrip()]
+    return text
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Certificate:
@@ -76,19 +97,12 @@ class Certificate:
 
     def table(self) -> str:
         """The certificate as text of `WIDTH` columns, with shorter names of the lines."""
-        rows = [("", "measured", "expected", "error", "p", ""), *(_cells(line) for line in self.lines)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        room = min(widths[0], WIDTH - sum(2 + width for width in widths[1:]))
-        text = [*_wrapped(self.plant), *_wrapped(self.drive), ""]
-        for name, *cells in rows:
-            *above, last = textwrap.wrap(name, room, subsequent_indent="  ") or [""]
-            padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-            text += [*above, "  ".join([last.ljust(room), *padded]).rstrip()]
+        text = [*wrapped(self.plant), *wrapped(self.drive), "", *table_of(self.lines)]
         failed = sum(not line.passed for line in self.lines)
         text += [
             "",
             f"{len(self.lines)} lines, {failed or 'none'} failed: the plant is {'NOT ' if failed else ''}certified",
-            *_wrapped(
+            *wrapped(
                 "error: standard error of measured less expected, from independent lanes. p: p-value, which allows for a bias "
                 f"of {100 * ROAD_TOLERANCE:g} % of the road and {100 * CAR_TOLERANCE:g} % of the car. A line fails where it is "
                 f"below {self.significance:.2g}; a sound plant fails any with a probability of at most {FALSE_ALARM_RATE:g}. "
@@ -97,20 +111,16 @@ class Certificate:
                 "its terms."
             ),
         ]
-        return "\n".join([*text, *(line for reason in self.left_out for line in _wrapped(f"Left out: {reason}."))])
+        return "\n".join([*text, *(line for reason in self.left_out for line in wrapped(f"Left out: {reason}."))])
 
     def to_json(self) -> str:
         """The certificate as JSON; null for figures that a line does not have, or that are not finite."""
-
-        def finite(value: Any) -> Any:
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
-        data = dataclasses.asdict(self) | {"passed": self.passed}
-        data["lines"] = [{name: finite(value) for name, value in line.items()} for line in data["lines"]]
+        data = dataclasses.asdict(self) | {"passed": self.passed, "lines": [line.figures() for line in self.lines]}
         return json.dumps(data, indent=2)
 
 
-def _wrapped(text: str) -> list[str]:
+def wrapped(text: str) -> list[str]:
+    """The text in lines of `WIDTH` columns."""
     return textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 

@@ -201,6 +201,8 @@ def level_distribution(road: Road, level: npt.ArrayLike) -> FloatArray:
     Raises:
         ParameterError: a road whose density is not known.
     """
+    if road.periodic is not None:
+        return road.periodic.distribution(np.asarray(level) / math.sqrt(road.variance))
     bound = min(level_bound(road), 12 * math.sqrt(road.variance))
     # with z = bound sin(angle) the densities that are infinite at the bound become smooth; the midpoint rule never meets it
     edges = np.linspace(-math.pi / 2, math.pi / 2, LAW_CELLS + 1)
@@ -257,7 +259,8 @@ def _switching_lines(
         left_out.append(f"{what} ({no_closed_form(road, speed_noise)})")
         return []
     if road.shaping_filter() is None:
-        left_out.append(f"{what} ({no_closed_form(road, None)})")
+        cause = no_closed_form(road, None) if road.periodic is None else f"none is known on a {road.kind} road"
+        left_out.append(f"{what} ({cause})")
         return []
     switching = Switching(road, damping=damping, speed=speed, car=car, lanes=lanes, seed=seed)
     ways: dict[str, Callable[..., Driven]] = {"D alternating": switching.alternate}
@@ -369,9 +372,10 @@ def _square(car: Car, name: str) -> str:
 
 def _words(component: Road | SpeedNoise | Car) -> str:
     """Kind and parameters."""
+    values = {field.name: getattr(component, field.name) for field in dataclasses.fields(component) if field.repr}
     parameters = [
         f"{name} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
-        for name, value in dataclasses.asdict(component).items()
+        for name, value in values.items()
         if name != "kind" and value is not None
     ]
     return f"{component.kind} ({', '.join(parameters)})"

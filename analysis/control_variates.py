@@ -111,7 +111,7 @@ def balances(task: Task, constants: int, samples: int) -> list[Identity]:
     road = task.road.shaping_filter()
     if road is None or task.road.has_slope or task.speed_noise is not None:
         return []
-    found = identities(road, task.car.motion, float(task.frequency_ratio(task.speed[0])))
+    found = identities(road, task.car.motion.own, float(task.frequency_ratio(task.speed[0])))
     return found[: max(samples // SAMPLES_EACH - constants, 0)]
 
 

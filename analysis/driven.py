@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from roadgym.cars import Car
 from roadgym.plant import Plant
+from roadgym.resolution import LARGEST_ANGLE, LARGEST_DECAY, fastest_rate
 from roadgym.reward import cost_unit, divergent_terms
 from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
-from roadgym.task import LARGEST_ANGLE, LARGEST_DECAY, fastest_rate, make_task
+from roadgym.task import make_task
 
 from .checks import FloatArray, check_size
 from .phase_noise import slowest_decay

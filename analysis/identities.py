@@ -72,7 +72,7 @@ def identities(road: ShapingFilter, car: Motion, ratio: float) -> list[Identity]
 
     Args:
         road: the road, at one operating point.
-        car: the car.
+        car: the car, without filters of its signals, which do not act on it.
         ratio: nu = speed * wavenumber/w1.
     """
     system, at_rest = (LinearSystem.of(road, car, damping=0.0, ratio=nu) for nu in (ratio, 0.0))
@@ -160,9 +160,9 @@ def rows_of(found: Sequence[Identity]) -> dict[str, FloatArray]:
 
 
 def watched(car: Car, signals: Mapping[str, FloatArray]) -> Car:
-    """The same car with more signals, by their factors of its states and of `roadgym.linear.INPUTS`, shape (n + 3,) each."""
+    """The same car with more signals, by factors of its own states and of `roadgym.linear.INPUTS`, shape (n + 3,) each."""
     own = car.motion
-    names = (*own.states, *INPUTS)
+    names = (*own.own.states, *INPUTS)
     more = {
         name: Signal({term: float(factor) for term, factor in zip(names, row, strict=True) if factor}, name)
         for name, row in signals.items()

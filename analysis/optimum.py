@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from roadgym.cars import Car, make_car
 from roadgym.parameters import positive_range, within
-from roadgym.reward import check_weights, cost_unit
+from roadgym.reward import asked_signals, check_weights, cost_unit
 from roadgym.roads import Road, make_road
 from roadgym.speed import SpeedNoise, make_speed_noise
 
@@ -79,7 +79,7 @@ def optimal_damping(
     """
     road = make_road(road)
     speed_noise = make_speed_noise(speed_noise, road)
-    the_car = make_car(car, natural_frequency)
+    the_car = make_car(car, natural_frequency).with_signals(asked_signals(weights))
     checked = check_weights(weights, the_car, road, speed_noise)
     driven = needs_simulation(road, speed_noise, the_car)
     closed = has_closed_form(road, the_car) and not driven

@@ -62,6 +62,43 @@ def value_form(system: LinearSystem, weights: Mapping[str, float]) -> tuple[Floa
     return value.reshape(*value.shape[:-1], size, size), mean_cost
 
 
+def interval_forms(
+    task: Task, value: FloatArray, dampings: npt.ArrayLike, ratio: npt.ArrayLike, bandwidth: npt.ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """(forms, constants): E[integral of the cost + h(x(T)) | x, D] - h(x) over one control interval, for any quadratic form h.
+
+    Args:
+        task: the plant, the weights and the control interval.
+        value: h, shape (points, n, n).
+        dampings: damping ratios D, shape (choices,).
+        ratio, bandwidth: frequency ratio nu and bandwidth delta, shape (points,).
+
+    Returns:
+        Arrays of shape (points, choices, n, n) and (points, choices), in units of time 1/w1.
+    """
+    choices = np.asarray(dampings, float)
+    nu, delta = (np.asarray(given, float)[:, None] for given in (ratio, bandwidth))
+    interval = task.control_interval * task.car.natural_frequency
+    rates = (task.car.fastest, float(np.max(nu)), 2 * task.car.firmness * float(np.max(choices)))
+    steps = max(1, math.ceil(interval * 2 * max(rates) / LARGEST_STEP))  # squares change twice as fast as the state
+    step = interval / steps
+    system = plant_system(task, choices, nu, delta)
+    cost = system.cost_form(task.weights_by_name)
+    before = value[:, None]
+    forms, constants = np.broadcast_to(before, cost.shape), np.zeros(cost.shape[:-2])
+    for _ in range(steps):  # backwards in time, by Taylor's series of both to fourth order
+        derivative, factor, moved = forms, 1.0, forms
+        for order in range(1, 5):
+            factor = factor * step / order
+            derivative, gained = system.form_rate(derivative)
+            constants = constants + factor * gained
+            if order == 1:
+                derivative = derivative + cost
+            moved = moved + factor * derivative
+        forms = moved
+    return forms - before, constants
+
+
 def advantage_forms(
     task: Task, dampings: npt.ArrayLike, reference: npt.ArrayLike, ratio: npt.ArrayLike, bandwidth: npt.ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
@@ -76,28 +113,10 @@ def advantage_forms(
     Returns:
         Arrays of shape (points, choices, n, n) and (points, choices).
     """
-    choices = np.asarray(dampings, float)
-    base, nu, delta = (np.asarray(value, float)[:, None] for value in (reference, ratio, bandwidth))
-    interval = task.control_interval * task.car.natural_frequency
-    fastest = 2 * max(1.0, float(np.max(nu)), 2 * float(np.max(choices)))  # squares change twice as fast as the state
-    steps = max(1, math.ceil(interval * fastest / LARGEST_STEP))
-    step = interval / steps
+    base, nu, delta = (np.asarray(given, float) for given in (reference, ratio, bandwidth))
     value, mean_cost = value_form(plant_system(task, base, nu, delta), task.weights_by_name)
-    system = plant_system(task, choices, nu, delta)
-    cost = system.cost_form(task.weights_by_name)
-    forms = np.broadcast_to(value, cost.shape)
-    constants = np.broadcast_to(-mean_cost * interval, cost.shape[:-2])
-    for _ in range(steps):  # backwards in time, by Taylor's series of both to fourth order
-        derivative, factor, moved = forms, 1.0, forms
-        for order in range(1, 5):
-            factor = factor * step / order
-            derivative, gained = system.form_rate(derivative)
-            constants = constants + factor * gained
-            if order == 1:
-                derivative = derivative + cost
-            moved = moved + factor * derivative
-        forms = moved
-    return forms - value, constants
+    forms, constants = interval_forms(task, value, dampings, nu, delta)
+    return forms, constants - mean_cost[:, None] * task.control_interval * task.car.natural_frequency
 
 
 def interval_mean(system: LinearSystem, cost: FloatArray, interval: float) -> tuple[FloatArray, FloatArray]:
@@ -123,11 +142,12 @@ def interval_mean(system: LinearSystem, cost: FloatArray, interval: float) -> tu
     return step[:-1, :-1], step[:-1, -1]
 
 
-def regulator_gain(system: LinearSystem, weights: Mapping[str, float], price: float) -> FloatArray:
-    """Gain k of the best active force u = -k x in place of the damper's, for the weighted squares and ``price`` times u^2.
+def regulator(system: LinearSystem, weights: Mapping[str, float], price: float) -> tuple[FloatArray, FloatArray]:
+    """(gain, value) of the best active force u = -gain x in place of the damper's: the linear-quadratic regulator.
 
-    The linear-quadratic regulator, shape (n,); u is positive against the motion of the car, as the force of a damper whose D
-    is zero in ``system``.
+    Its cost is the weighted squares and ``price`` times u^2; the relative value is a quadratic form, on the linear twin of a
+    bounded road. Shapes (n,) and (n, n); u is positive against the motion of the car, as the force of a damper whose D is zero
+    in ``system``.
     """
     from scipy.linalg import solve_continuous_are
 
@@ -138,7 +158,12 @@ def regulator_gain(system: LinearSystem, weights: Mapping[str, float], price: fl
         cross += weight * system.force[name] * system.signals[name][:, None]
         square = square + weight * system.force[name] ** 2
     value = solve_continuous_are(system.drift, entry, system.cost_form(weights), square, s=cross)
-    return np.asarray(np.linalg.solve(square, entry.T @ value + cross.T)[0])
+    return np.linalg.solve(square, entry.T @ value + cross.T)[0], np.asarray(value)
+
+
+def regulator_gain(system: LinearSystem, weights: Mapping[str, float], price: float) -> FloatArray:
+    """The gain of `regulator`, shape (n,)."""
+    return regulator(system, weights, price)[0]
 
 
 def periodic_mean_squares(systems: Sequence[LinearSystem], interval: float) -> dict[str, FloatArray]:

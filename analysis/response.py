@@ -27,6 +27,7 @@ from roadgym.speed import SpeedNoise, make_speed_noise
 
 from .checks import FloatArray, broadcast, check_size, range_array, ratio_array
 from .driven import driven_mean_squares
+from .line_response import line_mean_squares
 from .phase_noise import MeanSquaresOfFilter, decaying_mean_squares, filter_mean_squares, is_known
 
 RELATIVE_ERROR = 3e-3  # standard error over the mean, of what is simulated
@@ -103,11 +104,11 @@ def mean_squares(
     Exact on every road that is a linear filter or bounded, and with one mass under speed noise on the harmonic road: to
     rounding without low-pass noise, and with it to 1e-10 of each mean square for D <= 5, however slow, fast or weak it is; to
     1e-8 on a filter without closed form, such as that of the two-corner road, and of other cars. Of a multiplicative road only
-    variance and bandwidth enter.
+    variance and bandwidth enter. On a measured profile they are sums over its lines, to 1e-8 (`analysis.line_response`).
 
-    Low-pass noise on a random road has no closed form, nor has a road of one's own that declares neither lines nor a filter:
-    there the plant itself is driven, seconds for each operating point, and the result has a standard error. The noise has a
-    fixed seed, so the same call gives the same numbers.
+    Low-pass noise on a random road has no closed form, nor has a road of one's own that declares neither lines nor a filter nor
+    a period: there the plant itself is driven, seconds for each operating point, and the result has a standard error. The noise
+    has a fixed seed, so the same call gives the same numbers.
 
     Args:
         road: a road, or its name or mapping.
@@ -149,8 +150,9 @@ def mean_squares(
     if not closed:
         ratio_array("speed", speed, "nu = speed * wavenumber/natural_frequency", ratio, "linear frequency ratio")
     road_filter = road.shaping_filter(rest[0] if rest else None)
-    assert road_filter is not None
-    if closed:
+    if road_filter is None:
+        found = line_mean_squares(road, the_car.motion, damping=damping, ratio=ratio)
+    elif closed:
         found = _closed(road, road_filter, speed_noise, damping, ratio, w1)
     else:
         found = LinearSystem.of(road_filter, the_car.motion, damping=damping, ratio=ratio).mean_squares()
@@ -221,7 +223,7 @@ def checked_bandwidth(bandwidth: npt.ArrayLike, road: Road) -> FloatArray:
 def needs_simulation(road: Road, speed_noise: SpeedNoise | None, car: Car) -> bool:
     """Is there no theory, so that the plant must be driven: on a road that is no linear filter, or with noise on the speed?"""
     if speed_noise is None:
-        return road.shaping_filter() is None
+        return road.shaping_filter() is None and road.periodic is None
     known = road.lines is not None and road.takes_phase_noise and is_known(speed_noise)
     return not (known and has_closed_form(road, car))
 

@@ -70,6 +70,8 @@ def level_bound(road: Road) -> float:
         ParameterError: a road whose law is not known.
     """
     road_filter = road.shaping_filter()
+    if road.periodic is not None:
+        return math.sqrt(road.variance) * road.periodic.bound
     if road.lines is not None:
         return math.sqrt(2 * road.variance) * sum(math.sqrt(share) for share, _ in road.lines)
     if road_filter is None:
@@ -82,7 +84,7 @@ def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike)
 
     Gaussian on roads that are linear filters of white noise; proportional to (1 - z^2/r0^2)^(alpha - 1/2) on a multiplicative
     road, from (11) of Wedig (2020) by integration over the slope; the arcsine law on a harmonic road, to which that tends for
-    alpha -> 0.
+    alpha -> 0; on a measured profile even between the heights of two points, the sum over all its pieces.
 
     Args:
         road: any road.
@@ -94,6 +96,9 @@ def marginal_density(road: str | Mapping[str, Any] | Road, level: npt.ArrayLike)
     road = make_road(road)
     z = range_array("level", level, "array entry")
     road_filter = road.shaping_filter()
+    if road.periodic is not None:
+        deviation = math.sqrt(road.variance)
+        return road.periodic.density(z / deviation) / deviation
     if road_filter is not None and road_filter.flatness == 0 and road_filter.noise.any():
         return np.exp(-z * z / (2 * road.variance)) / math.sqrt(2 * math.pi * road.variance)
     if road.lines is not None and len(road.lines) == 1:
@@ -134,7 +139,8 @@ def spectral_density(road: str | Mapping[str, Any] | Road, frequency: npt.ArrayL
     x = w / turn
     road_filter = road.shaping_filter()
     if road_filter is None or not road_filter.noise.any():
-        cause = "a pair of lines for each of its waves" if road.lines is not None else "not known"
+        waves = road.lines is not None or road.periodic is not None
+        cause = "a pair of lines for each of its waves" if waves else "not known"
         raise ParameterError(f"road must have a spectral density: the spectrum of a {road.kind} road is {cause}")
     if road_filter.is_first_order:
         return 2 * road.variance / (turn * (1 + x * x))

@@ -15,9 +15,10 @@ import numpy as np
 
 from roadgym.cars import Car
 from roadgym.plant import Plant
+from roadgym.resolution import LARGEST_ANGLE
 from roadgym.roads import Road
 from roadgym.speed import SpeedNoise
-from roadgym.task import LARGEST_ANGLE, Task, make_task
+from roadgym.task import Task, make_task
 
 from .checks import FloatArray, check_size
 from .driven import lane_seeds
@@ -196,7 +197,7 @@ class Switching:
         self._ratio, bandwidth = float(plain.frequency_ratio(speed)), plain.bandwidth[0]
         road_filter = road.shaping_filter(bandwidth or None)
         assert road_filter is not None
-        self.identities = identities(road_filter, car.motion, self._ratio)
+        self.identities = identities(road_filter, car.motion.own, self._ratio)
         more = rows_of(self.identities)
         self._task = make_task(
             road=road,

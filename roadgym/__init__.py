@@ -18,8 +18,12 @@ from .roads import (
     HarmonicRoad,
     LinearRoad,
     MultiplicativeRoad,
+    PowerLawRoad,
+    Profile,
+    ProfileRoad,
     Road,
     TwoCornerRoad,
+    read_profile,
     sample_road,
 )
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
@@ -41,6 +45,9 @@ __all__ = [
     "MultiplicativeRoad",
     "ParameterError",
     "PlantError",
+    "PowerLawRoad",
+    "Profile",
+    "ProfileRoad",
     "QuarterCar",
     "Road",
     "SpeedNoise",
@@ -48,6 +55,7 @@ __all__ = [
     "TwoMassCar",
     "WhiteSpeedNoise",
     "__version__",
+    "read_profile",
     "register",
     "sample_road",
 ]

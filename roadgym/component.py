@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import importlib.metadata
 import inspect
+import os.path
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from .parameters import ParameterError, shown
 
 Component = TypeVar("Component")
 
+FILE = "file"  # parameter of a component that is read from one
 ENTRY_POINTS = "roadgym.components"  # group of entry points: by a kind, the module whose import registers it
 
 
@@ -41,6 +43,7 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         base: their common class.
         entries: those that are there from the beginning.
         presets: mappings that have a name of their own.
+        of_file: the kind that the name of a file stands for; among its ``constructors`` is that of the parameter `FILE`.
     """
 
     def __init__(
@@ -49,9 +52,10 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         base: Any,
         entries: Mapping[str, type[Component]],
         presets: Mapping[str, Mapping[str, Any]] | None = None,
+        of_file: str | None = None,
     ) -> None:
         super().__init__(entries)
-        self.what, self.base, self.presets = what, base, dict(presets or {})
+        self.what, self.base, self.presets, self.of_file = what, base, dict(presets or {}), of_file
 
     def register(self, name: str, component: type[Component]) -> None:
         """Add a component, for use by name in the environment, in theory, in tests and in every command.
@@ -73,8 +77,9 @@ class Registry(dict[str, type[Component]], Generic[Component]):
     def make(self, value: Any) -> Component:
         """A component from its name, from a mapping with the key "kind" and its parameters, or as it is.
 
-        The parameters are those of the class, or of the first of its ``constructors`` whose parameter is among them. A kind
-        that is not there is looked for among the entry points of installed packages, in the group `ENTRY_POINTS`.
+        A name may also be that of a file that exists, where a kind is read from files and none has this name. The parameters
+        are those of the class, or of the first of its ``constructors`` whose parameter is among them. A kind that is not there
+        is looked for among the entry points of installed packages, in the group `ENTRY_POINTS`.
 
         Raises:
             ParameterError: unknown kind or parameter, or a value out of range.
@@ -82,7 +87,7 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         if isinstance(value, self.base):
             return value  # type: ignore[no-any-return]
         if isinstance(value, str):
-            value = self.presets.get(value, {"kind": value})
+            value = self.presets.get(value, self._file(value) or {"kind": value})
         if not isinstance(value, Mapping):
             raise ParameterError(f"{self.what} must be a name, a mapping or a {self.base.__name__}, got {shown(value)}")
         parameters = dict(value)
@@ -90,24 +95,31 @@ class Registry(dict[str, type[Component]], Generic[Component]):
         if isinstance(kind, str) and kind not in self:
             import_modules(point.module for point in importlib.metadata.entry_points(group=ENTRY_POINTS, name=kind))
         if not isinstance(kind, str) or kind not in self:
-            raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join([*self, *self.presets])}")
+            file = "" if self.of_file is None else ", or a file that exists"
+            raise ParameterError(f"unknown {self.what} {shown(kind)}; known: {', '.join([*self, *self.presets])}{file}")
         component: Any = self[kind]
-        needed: list[str] = []
         own = next((name for name in component.constructors if name in parameters), None)
-        if own is None:
-            allowed = [field.name for field in dataclasses.fields(component) if field.init]
-            known = ", ".join([*allowed, *component.constructors])
-        else:
+        others = [] if own else list(component.constructors)
+        if own is not None:
             component = getattr(component, component.constructors[own])
-            signature = inspect.signature(component).parameters
-            allowed = list(signature)
-            needed = [name for name in allowed if signature[name].default is inspect.Parameter.empty]
-            known = ", ".join(allowed)
+        signature = inspect.signature(component).parameters
+        allowed = list(signature)
         for name in parameters:
             if name not in allowed:
-                beside = "" if own is None else f" beside {own!r}"
+                beside, known = f" beside {own!r}" if own else "", ", ".join([*allowed, *others])
                 raise ParameterError(f"unknown parameter {shown(name)} of {self.what} {kind!r}{beside}; known: {known}")
-        for name in needed:
-            if name not in parameters:
-                raise ParameterError(f"{self.what} {kind!r} needs {name} beside {own!r}, got {shown(dict(value))}")
+        for name in allowed:
+            if signature[name].default is inspect.Parameter.empty and name not in parameters:
+                instead = f"{name} beside {own!r}" if own else " or ".join([name, *others])
+                raise ParameterError(f"{self.what} {kind!r} needs {instead}, got {shown(dict(value))}")
         return component(**parameters)  # type: ignore[no-any-return]
+
+    def _file(self, name: str) -> dict[str, Any] | None:
+        """What a name that is that of a file stands for; None where it is not."""
+        known = self.of_file is not None and name not in self and os.path.isfile(name)  # noqa: PTH113 - any text
+        return {"kind": self.of_file, FILE: name} if known else None
+
+    def lasting(self, value: Any) -> Any:
+        """``value``, or the component itself where a file stands for it, which may change or be left behind."""
+        of_file = FILE in value if isinstance(value, Mapping) else isinstance(value, str) and self._file(value)
+        return self.make(value) if of_file else value

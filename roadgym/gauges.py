@@ -183,13 +183,13 @@ def signals_now(plant: Plant, car: int, names: Sequence[str], damping: float) ->
     Args:
         plant: a batch of cars.
         car: which of them.
-        names: of signals that contain no white noise on this plant.
+        names: of signals that contain no white noise on this plant and have no filter.
         damping: D, 1.
     """
-    motion = plant.task.car.motion
+    motion = plant.task.car.motion.own
     known = list(motion.signals)
     rate = plant.row("rate")[car] * plant.row("slope")[car]
     values = np.array([*(plant.row(name)[car] for name in (*motion.states, "level")), rate, 0.0], float)
     values[-1] = 2 * damping * (motion.rows[known.index(motion.relative)] @ values)
-    told = motion.rows @ values * np.sqrt(plant.task.square_units)
-    return {name: float(told[known.index(name)]) for name in names}
+    units = dict(zip(plant.task.car.mean_squares, np.sqrt(plant.task.square_units), strict=True))
+    return {name: float(motion.rows[known.index(name)] @ values * units[name]) for name in names}

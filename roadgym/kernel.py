@@ -4,7 +4,8 @@ Data flow of one control interval, for each block of LANES lanes (see `roadgym.c
 
 1. clip the actions to the damping range; the car prepares for that damping;
 2. draw all random words of the interval, a pure function of (seed, episode, step);
-3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, the squares add up;
+3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, and filters of its signals
+   follow it, the squares add up;
 4. add up the reward from the mean squares, count the step, observe;
 5. lanes whose episode is over start anew, one by one.
 
@@ -54,7 +55,18 @@ from .record import (
     SQUARES,
     STEP,
 )
-from .signals import add_squares, clip, copy_row, new_work, observe_block, report_block, row_of
+from .signals import (
+    add_squares,
+    advance_filters,
+    clip,
+    copy_row,
+    new_work,
+    observe_block,
+    prepare_filters,
+    report_block,
+    row_of,
+    state_row,
+)
 
 if not TYPE_CHECKING:
     __getattr__ = moved(
@@ -90,6 +102,8 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
     shares = pointer(plant.shares, 0.0)
     work[SHARE] = shares[0]
     call_car(plant.car_prepare, block, car, own, plant.car_table)
+    if plant.filters:
+        prepare_filters(plant, lanes, work)
     if more:
         add_squares(plant, lanes, work, True)
     for k in range(substeps):
@@ -102,6 +116,8 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
         call(plant.road_advance, block, word, plant.road_table)
         work[SHARE] = shares[k + 1]
         call_car(plant.car_advance, block, car, own, plant.car_table)
+        if plant.filters:
+            advance_filters(plant, lanes, work)
         if more:
             add_squares(plant, lanes, work, False)
         if path != 0:
@@ -115,6 +131,8 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
 @compiled
 def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced: Any, first: int) -> None:
     """Start lane ``i`` of a block: operating point, stationary road, car at rest, where it stands on the road or at zero.
+
+    Filters of its signals start at zero.
 
     ``forced`` has two rows, speed and bandwidth of each environment, or no columns; where it is not NaN it replaces the draw.
     """
@@ -148,7 +166,7 @@ def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced
     call(plant.road_start, lane, word + np.uint64(4 * LANES * 4), plant.road_table)
     heights = pointer(plant.start, 0.0)
     for j in range(plant.states):
-        lanes[plant.car + j * LANES + i] = like(lanes, heights[j]) * lanes[LEVEL + i]
+        lanes[state_row(plant, j) + i] = like(lanes, heights[j]) * lanes[LEVEL + i]
     if plant.speed_start != 0:
         call(plant.speed_start, lane, word + np.uint64(4 * LANES * 8), plant.speed_table)
 
@@ -317,7 +335,7 @@ def reset_blocks(
 
 @compiled
 def drive_roads(begin: int, end: int, record: Any, state: Any, counters: Any, levels: Any, slopes: Any) -> int:
-    """Drive the roads of the blocks ``begin`` to ``end`` alone, from their start on; levels and slopes at each step's end.
+    """Drive the roads of the blocks ``begin`` to ``end`` alone, from their start on; levels and slopes after each few substeps.
 
     They meet the words of control intervals of one substep.
 
@@ -335,7 +353,7 @@ def drive_roads(begin: int, end: int, record: Any, state: Any, counters: Any, le
         for i in range(LANES):
             start_lane(plant, lanes, i, counts, words, nothing_forced, first)
         for k in range(levels.shape[0]):
-            if k > 0:
+            for _ in range(plant.substeps if k > 0 else 0):
                 draw_words(plant, words, counts, INTERVAL, plant.road_words)
                 call(plant.road_advance, lanes.ctypes.data, words.ctypes.data, plant.road_table)
                 for i in range(LANES):

@@ -20,11 +20,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from .parameters import ParameterError, number, number_array
+
+if TYPE_CHECKING:
+    from .filters import SignalFilter
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -107,6 +111,8 @@ class Motion:
         signals: by name, see `Signal`; the damper's force does not enter the one that is ``relative``.
         relative: name of the signal that the damper resists, the relative velocity.
         follows: 1 for each state that is a height, and nearly that of a slow road, else 0; shape (n,).
+        filters: by the signal that each makes, where `roadgym.filters.filtered` made these equations; the last states are
+            theirs.
     """
 
     states: tuple[str, ...]
@@ -117,6 +123,7 @@ class Motion:
     signals: Mapping[str, Signal]
     relative: str = "relative_velocity"
     follows: FloatArray
+    filters: Mapping[str, SignalFilter] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raise `ParameterError` for matrices of a wrong shape, and for names or terms that are not defined."""
@@ -136,6 +143,23 @@ class Motion:
             raise ParameterError(f"states and signals of a car must not be named {', '.join(sorted(RESERVED))}, got {taken!r}")
         if self.relative not in self.signals or "damper_force" in self.signals[self.relative].terms:
             raise ParameterError(f"relative must be a signal that has no damper_force, got {self.relative!r}")
+
+    @functools.cached_property
+    def own(self) -> Motion:
+        """These equations without their filters."""
+        if not self.filters:
+            return self
+        size = len(self.states) - sum(chosen.size for chosen in self.filters.values())
+        names = {*self.states[:size], *INPUTS}
+        vectors = {name: getattr(self, name)[:size] for name in ("level_entry", "slope_entry", "force_entry", "follows")}
+        return dataclasses.replace(
+            self,
+            states=self.states[:size],
+            drift=self.drift[:size, :size],
+            signals={name: signal for name, signal in self.signals.items() if names >= set(signal.terms)},
+            filters={},
+            **vectors,
+        )
 
     @functools.cached_property
     def rows(self) -> FloatArray:
@@ -178,6 +202,7 @@ class LinearSystem:
     Attributes:
         states: names of the states x, those of the car first.
         car_states: how many they are.
+        filter_states: how many of them, the last, are those of filters, which do not act back on the car.
         drift: shape (..., n, n).
         noise: shape (..., n, m).
         signals: rows of the signals by name, shape (..., n) each.
@@ -190,6 +215,7 @@ class LinearSystem:
 
     states: tuple[str, ...]
     car_states: int
+    filter_states: int
     drift: FloatArray
     noise: FloatArray
     signals: Mapping[str, FloatArray]
@@ -241,6 +267,7 @@ class LinearSystem:
         return cls(
             states=car.states + road.states,
             car_states=cars,
+            filter_states=cars - len(car.own.states),
             drift=drift,
             noise=noise * np.sqrt(nu)[..., None],
             signals=signals,
@@ -255,18 +282,16 @@ class LinearSystem:
     def covariance(self) -> FloatArray:
         """Stationary covariance of x, shape (..., n, n).
 
-        The road's is known; that of car and road solves Sylvester's, and the car's own Lyapunov's equation.
+        The road's is known, and drives the car, as both drive the filters of signals.
         """
-        cars, size = self.car_states, len(self.states)
-        car, cross, road = self.drift[..., :cars, :cars], self.drift[..., :cars, cars:], self.drift[..., cars:, cars:]
-        own, roads = self.noise[..., :cars, :], self.noise[..., cars:, :]
-        mixed = _sylvester(car, road, -cross @ self.road_covariance - own @ _transposed(roads))
-        driven = cross @ _transposed(mixed)
-        result = np.empty((*self.drift.shape[:-2], size, size))
-        result[..., :cars, :cars] = lyapunov(car, driven + _transposed(driven) + own @ _transposed(own))
-        result[..., :cars, cars:], result[..., cars:, :cars] = mixed, _transposed(mixed)
-        result[..., cars:, cars:] = self.road_covariance
-        return result
+        own, cars, size = self.car_states - self.filter_states, self.car_states, len(self.states)
+        order = np.array([*range(own, cars), *range(own), *range(cars, size)])  # each of the three is driven by those after it
+        drift, noise = self.drift[..., order[:, None], order], self.noise[..., order, :]
+        covariance = self.road_covariance
+        for first in (self.filter_states, 0)[: 1 + bool(self.filter_states)]:
+            covariance = _joint_covariance(drift[..., first:, first:], noise[..., first:, :], covariance)
+        place = np.argsort(order)
+        return covariance[..., place[:, None], place]
 
     def mean_squares(self) -> dict[str, FloatArray]:
         """Stationary mean squares of the signals by name, shape (...); infinite where they are rough."""
@@ -377,6 +402,22 @@ class LinearSystem:
 def lyapunov(drift: FloatArray, intensity: FloatArray) -> FloatArray:
     """Stationary covariance P of dx = drift x dt + noise of this intensity: drift P + P drift' + intensity = 0; stacks too."""
     return _sylvester(drift, drift, -intensity)
+
+
+def _joint_covariance(drift: FloatArray, noise: FloatArray, driver: FloatArray) -> FloatArray:
+    """Stationary covariance of states that are driven, and of those that drive them, whose own is known and which come last.
+
+    That of both solves Sylvester's equation, and that of the driven Lyapunov's.
+    """
+    count, size = drift.shape[-1] - driver.shape[-1], drift.shape[-1]
+    driven, cross, own = drift[..., :count, :count], drift[..., :count, count:], noise[..., :count, :]
+    mixed = _sylvester(driven, drift[..., count:, count:], -cross @ driver - own @ _transposed(noise[..., count:, :]))
+    forced = cross @ _transposed(mixed)
+    result = np.empty((*drift.shape[:-2], size, size))
+    result[..., :count, :count] = lyapunov(driven, forced + _transposed(forced) + own @ _transposed(own))
+    result[..., :count, count:], result[..., count:, :count] = mixed, _transposed(mixed)
+    result[..., count:, count:] = driver
+    return result
 
 
 def _transposed(matrices: FloatArray) -> FloatArray:

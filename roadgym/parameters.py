@@ -49,9 +49,13 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "shape": Range(0.02, 1e4, "alpha = 2 delta Omega u0^2/sigma^2 of a bounded road that is driven, 1"),
         "constant shape": Range(1e-12, 1e12, "alpha in closed forms, 1"),
         "corner ratio": Range(1.0, 100.0, "second over first corner of a road, 1"),
+        "waviness": Range(1.5, 3.5, "w of a road whose spectral density falls with the power w of the frequency, 1"),
+        "band ratio": Range(2.0, 1e4, "highest frequency of the band of such a road, or that of its break, over the lowest, 1"),
         "axes ratio": Range(0.2, 5.0, "u0/z0 of an ellipse, 1"),
         "ellipse bandwidth": Range(0.05, 10.0, "delta on an ellipse, whose variance is found by simulation, 1"),
         "ellipse shape": Range(0.3, 100.0, "alpha on an ellipse, 1"),
+        "profile points": Range(16, 1_000_000, "heights of a measured profile"),
+        "profile spacing": Range(1e-3, 10.0, "distance between two of them, m"),
         # the operating point
         "frequency ratio": Range(1e-9, 1e4, "nu = speed * wavenumber/natural_frequency of a plant that is driven, 1"),
         "any speed": Range(0.0, 1e30, "speed, m/s; what counts is the frequency ratio"),
@@ -84,11 +88,14 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "max_episode_steps": Range(1, 2**31 - 1, "steps in an episode"),
         "threads": Range(1, 1024, "threads"),
         "seed": Range(0, 2**64 - 1, "seed"),
+        # controllers
+        "mixing": Range(0.0, 1.0, "share of one rule, or of one value, in a mixture of two; 1"),
         # theory and simulation
         "array size": Range(0, 10_000_000, "entries of an array, and of the common shape of several"),
         "array entry": Range(-1e50, 1e50, "level, slope and frequency in closed forms"),
         "lag": Range(0.0, 1e50, "lag of an autocovariance, s"),
         "angular rate": Range(1e-12, 1e12, "speed * wavenumber of a spectral density, rad/s"),
+        "lines": Range(1, 4_000_000, "lines of the spectrum of a profile that move a car, at one speed"),
         "operating points": Range(0, 100_000, "operating points whose best damping is asked for together"),
         "driven points": Range(0, 1_000, "operating points that are simulated together"),
         "relative_error": Range(1e-4, 1.0, "standard error over the mean, or tolerance, of what is simulated"),

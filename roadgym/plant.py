@@ -15,6 +15,7 @@ from numba.core.errors import NumbaError
 from . import compiled, kernel
 from .cars import Car
 from .compiled import COEFFICIENT, LANES, LaneFunction
+from .filters import filter_table
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
 from .record import (
@@ -191,7 +192,9 @@ class Plant:
         self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
         road, car, noise = task.road, task.car, task.speed_noise
         self._car = COEFFICIENT + road.rows * LANES
-        self._block_size = self._car + car.rows * LANES
+        self._filters = self._car + car.rows * LANES
+        self._own_states = len(car.motion.own.states)
+        self._block_size = self._filters + (len(car.motion.states) - self._own_states) * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
         self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
@@ -216,6 +219,7 @@ class Plant:
             "square_units": task.square_units if told else np.ones(len(task.reward)),
             "shares": interval_weights(task.substeps),
             "factors": np.ascontiguousarray(car.motion.rows, np.float64),
+            "filter_table": filter_table(car.motion, self._substep),
             "start": car.starts_on_road * car.motion.follows,
             "observed": np.array([self._observed_code(name) for name in task.signals], np.int64),
             "infinite": np.array([name in infinite for name in signals], np.int64),
@@ -257,6 +261,9 @@ class Plant:
             "road_words": road.words_per_substep,
             "speed_words": 0 if noise is None else noise.words_per_substep,
             "states": len(car.motion.states),
+            "own_states": self._own_states,
+            "filters": len(car.motion.filters),
+            "filter_states": self._filters,
             "signals": len(signals),
             "squared": car.squared,
             "relative": signals.index(car.motion.relative),
@@ -417,7 +424,8 @@ class Plant:
     def _offset(self, row: str | int) -> int:
         states = self.task.car.motion.states
         if row in states:
-            return self._car + states.index(str(row)) * LANES
+            place = states.index(str(row))
+            return self._car + place * LANES if place < self._own_states else self._filters + (place - self._own_states) * LANES
         return BUS[row] if isinstance(row, str) else row
 
     def row(self, row: str | int) -> npt.NDArray[Any]:

@@ -24,11 +24,14 @@ PLANT = np.dtype(
         # `Motion.rows`, and heights of the car at the start over that of the road; and of 64-bit integers: what is observed, a
         # row of the block or one of the codes below, and whether a mean square is infinite
         *((name, np.uint64) for name in ("weights", "square_units", "shares", "factors", "start", "observed", "infinite")),
+        ("filter_table", np.uint64),  # address of 64-bit numbers, `roadgym.filters.filter_table`
         ("path", np.uint64),  # address of rows for the angle and the level of each substep of each block, see `Plant.trace`
         # how many of each there are, in a block where it is of rows
         *((name, np.int64) for name in ("substeps", "road_words", "speed_words", "states", "signals", "squared", "relative")),
         *((name, np.int64) for name in ("observations", "block_size", "car", "work", "warm_up_steps", "max_episode_steps")),
         ("autoreset", np.int64),
+        # states of the car itself, filters of its signals, and the row of the block at which the states of these begin
+        *((name, np.int64) for name in ("own_states", "filters", "filter_states")),
         *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),
         *((name, np.float64) for name in ("bandwidth_low", "bandwidth_high", "warm_up_damping", "saturation")),
         ("speed_unit", np.float64),  # in which results are told

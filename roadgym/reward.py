@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from .cars import Car
@@ -26,6 +26,11 @@ def divergent_terms(car: Car, road: Road, speed_noise: SpeedNoise | None) -> tup
     return () if smooth else car.motion.rough
 
 
+def asked_signals(*lists: Any) -> list[str]:
+    """The names of signals in rewards and observations, before these are checked."""
+    return [name for names in lists if isinstance(names, (Mapping, Sequence)) for name in names if isinstance(name, str)]
+
+
 def check_weights(weights: Mapping[str, float], car: Car, road: Road, speed_noise: SpeedNoise | None) -> dict[str, float]:
     """The weights of the reward by mean square of the car, all of them, zero where none was given.
 
@@ -37,7 +42,8 @@ def check_weights(weights: Mapping[str, float], car: Car, road: Road, speed_nois
         raise ParameterError(f"reward must be a mapping from {', '.join(known)} to weights, got {shown(weights)}")
     for name in weights:
         if name not in known:
-            raise ParameterError(f"unknown reward term {shown(name)}; known: {', '.join(known)}")
+            offered = dict.fromkeys((*known, *car.optional))
+            raise ParameterError(f"unknown reward term {shown(name)}; known: {', '.join(offered)}")
     result = {name: _weight(f"weight of {name}", weights.get(name, 0.0)) for name in known}
     if not any(result.values()):
         raise ParameterError(f"reward needs at least one positive weight, got {shown(dict(weights))}")

@@ -1,7 +1,8 @@
 """What the kernel makes of the state of a block: signals, mean squares, observations, and the report of an interval.
 
 ``work``, the numbers of an interval of one block, has the rows of `roadgym.compiled`, those of the car, then the squares of the
-signals that the car does not square itself, and rows for the signal in hand and for the relative velocity.
+signals that the car does not square itself, rows for the signal in hand and for the relative velocity, and those of each filter
+of a signal (`roadgym.filters`): what D makes of its source, 2 n + 4 rows for the n states of the car, then those named below.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from .compiled import (
     INVERSE_SUBSTEP,
     LANES,
     LEVEL,
+    LEVEL_EXCESS,
     RATE,
     SHARE,
     SLOPE,
@@ -37,6 +39,12 @@ from .record import (
     SQUARES,
 )
 
+# rows of a filter: g and G h/12 at the beginning of a substep, and at its end; the input at both, with what it rises above its
+# line; the impulse k m; the level at the beginning
+NOW, NEXT, INPUTS, IMPULSE, BEFORE = 0 * LANES, 2 * LANES, 4 * LANES, 6 * LANES, 7 * LANES
+FILTER_ROWS = 8
+SECTION = 10  # numbers of a section in `roadgym.filters.filter_table`
+
 
 @compiled
 def row_of(block: Any, offset: int) -> Any:
@@ -57,9 +65,21 @@ def signal_row(plant: Any) -> int:
 
 
 @compiled
+def state_row(plant: Any, k: int) -> int:
+    """Where a block has state ``k`` of the car's motion; those of filters come after all rows of the car."""
+    return int(plant.car + k * LANES if k < plant.own_states else plant.filter_states + (k - plant.own_states) * LANES)
+
+
+@compiled
+def filter_row(plant: Any, k: int) -> int:
+    """Where ``work`` has the rows of filter ``k``."""
+    return int(signal_row(plant) + (2 + k * (2 * plant.own_states + 4 + FILTER_ROWS)) * LANES)
+
+
+@compiled
 def new_work(plant: Any, state: Any) -> Any:
     """The numbers of an interval of one block, with its constants in place."""
-    work = np.zeros(signal_row(plant) + 2 * LANES, state.dtype)
+    work = np.zeros(filter_row(plant, plant.filters), state.dtype)
     work[SUBSTEP] = plant.substep
     work[INVERSE_SUBSTEP] = 1.0 / plant.substep
     return work
@@ -84,7 +104,7 @@ def write_smooth(plant: Any, lanes: Any, k: int, row: Any) -> None:
     for j in range(plant.states + 1):
         factor = like(lanes, factors[first + j])
         if factor != 0:
-            add_row(row, row_of(lanes, plant.car + j * LANES if j < plant.states else LEVEL), factor, fresh)
+            add_row(row, row_of(lanes, state_row(plant, j) if j < plant.states else LEVEL), factor, fresh)
             fresh = False
     factor = like(lanes, factors[first + plant.states + 1])
     if fresh or factor != 0:
@@ -115,6 +135,73 @@ def add_squares(plant: Any, lanes: Any, work: Any, fresh: bool) -> None:
         for i in range(LANES):
             row[i] *= row[i]
         add_row(row_of(work, square_row(plant, k)), row, share, fresh)
+
+
+@compiled
+def write_source(plant: Any, lanes: Any, factors: Any, target: Any) -> None:
+    """Write g and G h/12 of a filter's source to two rows, from what D makes of them."""
+    for i in range(LANES):
+        target[i] = target[LANES + i] = like(lanes, 0.0)
+    rates = (plant.own_states + 1) * LANES
+    for j in range(plant.own_states + 1):
+        state, row = row_of(lanes, plant.car + j * LANES if j < plant.own_states else LEVEL), j * LANES
+        for i in range(LANES):
+            target[i] += factors[row + i] * state[i]
+            target[LANES + i] += factors[row + rates + i] * state[i]
+
+
+@compiled
+def prepare_filters(plant: Any, lanes: Any, work: Any) -> None:
+    """What the damping of each lane makes of the sources of the filters, and these now."""
+    table, width, place = pointer(plant.filter_table, 0.0), 2 * plant.own_states + 4, 0
+    for k in range(plant.filters):
+        factors = row_of(work, filter_row(plant, k))
+        for j in range(width):
+            p = place + 1 + j
+            p0, p1, p2 = like(lanes, table[p]), like(lanes, table[p + width]), like(lanes, table[p + 2 * width])
+            for i in range(LANES):
+                factors[j * LANES + i] = p0 + work[DAMPING + i] * (p1 + work[DAMPING + i] * p2)
+        rows = row_of(work, filter_row(plant, k) + width * LANES)
+        write_source(plant, lanes, factors, rows)
+        for i in range(LANES):
+            rows[BEFORE + i] = lanes[LEVEL + i]
+        place += 1 + 3 * width + SECTION * int(table[place])
+
+
+@compiled
+def advance_filters(plant: Any, lanes: Any, work: Any) -> None:
+    """One substep of the filters, after the car has moved; see `roadgym.filters`."""
+    table, width, place = pointer(plant.filter_table, 0.0), 2 * plant.own_states + 4, 0
+    inverse, first = work[INVERSE_SUBSTEP], plant.filter_states
+    for k in range(plant.filters):
+        factors = filter_row(plant, k)
+        after = factors + width * LANES
+        rate, lift, rows = row_of(work, after - 2 * LANES), row_of(work, after - LANES), row_of(work, after)
+        write_source(plant, lanes, row_of(work, factors), row_of(work, after + NEXT))
+        for i in range(LANES):
+            excess, z = lanes[LEVEL_EXCESS + i], lanes[LEVEL + i]
+            above = rows[NOW + LANES + i] - rows[NEXT + LANES + i] + lift[i] * excess
+            above += rate[i] * (z - rows[BEFORE + i]) * inverse
+            rows[INPUTS + i] = rows[NOW + i] + above
+            rows[INPUTS + LANES + i] = rows[NEXT + i] + above
+            rows[IMPULSE + i] = rate[i] * excess
+            rows[NOW + i], rows[NOW + LANES + i], rows[BEFORE + i] = rows[NEXT + i], rows[NEXT + LANES + i], z
+        sections = int(table[place])
+        place += 1 + 3 * width
+        for _ in range(sections):
+            e00, e01 = like(lanes, table[place]), like(lanes, table[place + 1])
+            e10, e11 = like(lanes, table[place + 2]), like(lanes, table[place + 3])
+            p0, p1 = like(lanes, table[place + 4]), like(lanes, table[place + 5])
+            q0, q1 = like(lanes, table[place + 6]), like(lanes, table[place + 7])
+            j0, j1 = like(lanes, table[place + 8]), like(lanes, table[place + 9])
+            state = row_of(lanes, first)
+            for i in range(LANES):
+                x, y = state[i], state[LANES + i]
+                a, b, impulse = rows[INPUTS + i], rows[INPUTS + LANES + i], rows[IMPULSE + i]
+                state[i] = (e00 * x + e01 * y) + (p0 * a + q0 * b) + j0 * impulse
+                state[LANES + i] = (e10 * x + e11 * y) + (p1 * a + q1 * b) + j1 * impulse
+            first += 2 * LANES
+            place += SECTION
 
 
 @compiled

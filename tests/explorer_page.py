@@ -121,6 +121,7 @@ def components(point):
             shape=point["shape"], bandwidth=point["bandwidth"], level_bound=math.sqrt(2 * (point["shape"] + 1))
         ),
         "two_corner": lambda: roadgym.TwoCornerRoad(deviation=1.0),
+        "power_law": lambda: roadgym.PowerLawRoad(deviation=1.0),
     }
     road = given.get(name, ROADS.get(name))()
     parameters = {"intensity": point["intensity"]}

@@ -104,7 +104,9 @@ def test_rewards_average_to_the_cost_saved():
         ({"road": "gaussian"}, True),
         ({"road": "multiplicative"}, True),
         ({"road": "harmonic"}, False),
-        ({"road": "first_order"}, False),
+        ({"road": "first_order"}, True),
+        ({"road": "iso_c", "speed": 20.0, "car": "two_mass"}, True),
+        ({"road": "two_corner"}, False),
         ({"road": "gaussian", "speed_noise": "low_pass"}, False),
     ],
 )
@@ -136,6 +138,58 @@ def test_lookahead_features_are_left_out_where_they_are_unknown():
     for unknown in ({"observation": ["travel", "velocity"]}, {"speed_noise": "low_pass"}):
         task = make_task(**ENVIRONMENT, **unknown)
         assert Features(task, ["signals", "lookahead"]).size == len(task.signals)
+
+
+TWO_MASSES = {
+    "road": "iso_c",
+    "speed": (15.0, 25.0),
+    "car": "two_mass",
+    "reward": {"acceleration": 1.0, "tyre_deflection": 1e4},
+}
+
+
+def test_two_masses_have_a_mean_advantage_too():
+    """The performance difference lemma again, with theory's own mean costs on the one side."""
+    task = make_task(**TWO_MASSES)
+    dampings, ratio = np.array([0.08, 0.3, 0.9]), float(task.frequency_ratio(18.0))
+    forms, constants = advantage_forms(task, dampings, [0.25], [ratio], [0.0])
+    base = theoretical_cost(task, 0.25, 18.0, 0.0)
+    for damping, form, constant in zip(dampings.tolist(), forms[0], constants[0], strict=True):
+        system = plant_system(task, damping, ratio)
+        found = np.trace(form @ system.covariance()) + constant
+        expected = theoretical_cost(task, damping, 18.0, 0.0) - base
+        interval = task.control_interval * task.car.natural_frequency
+        assert found / interval == pytest.approx(expected, rel=1e-4, abs=1e-5 * base)
+
+
+@pytest.mark.statistical
+def test_two_masses_are_paid_what_they_save():
+    """On average, for a policy that is not constant; and a damping that saves is seen among the features."""
+    environment = {**TWO_MASSES, "speed": 20.0}
+    batches = [
+        QuarterCarVecEnv(512, max_episode_steps=10**6, environment=environment, training_reward=kind)
+        for kind in ("advantage", "cost")
+    ]
+    task, rival = batches[0].task, make_controller("clipped_lqr", batches[0].task)
+    low, high = task.damping_range
+    sums = []
+    for batch in batches:  # the same roads for both
+        batch.seed(3)
+        observations, total = batch.reset(), np.zeros(512)
+        for step in range(1200):
+            damping, _ = rival.predict(observations)
+            observations, paid, _, _ = batch.step(2 * (damping - low) / (high - low) - 1)
+            total += paid / 800 if step >= 400 else 0
+        sums.append(total)
+    best = optimum(task, 20.0, 0.0).cost
+    expected = (best + sums[1]) / np.sqrt(best)
+    error = (sums[0] - expected).std() / np.sqrt(512)
+    assert expected.mean() > 0
+    assert error < 0.05 * expected.mean()
+    assert abs(sums[0].mean() - expected.mean()) < 4 * error + 2e-3 * expected.mean()
+    features = Features(task, ["lookahead"])
+    assert features.size == 3
+    assert np.abs(features(observations)[:, 1:]).max() > 0.1
 
 
 HYPERPARAMETERS = {

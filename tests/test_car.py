@@ -17,10 +17,11 @@ from roadgym import compiled as rows
 from roadgym.cars import one_mass
 from roadgym.noise import fill_words
 from roadgym.plant import Plant
+from roadgym.resolution import LARGEST_ANGLE
 from roadgym.roads import gaussian, multiplicative
 from roadgym.roads.gaussian import oscillator
 from roadgym.roads.multiplicative import rotations
-from roadgym.task import LARGEST_ANGLE, make_task
+from roadgym.task import make_task
 
 SHAPES = (0.5, 1.0, 2.0, 10.0)
 CORNERS = list(itertools.product((0.05, 0.1, 0.3, 1.0), (0.05, 0.1, 0.5)))  # damping, bandwidth

@@ -215,8 +215,11 @@ def test_closed_forms_are_those_of_their_own_equations_alone():
     system = LinearSystem.of(ROAD.shaping_filter(), skyhook.motion, damping=0.3, ratio=1.0)
     expected = {name: ROAD.variance * square for name, square in system.mean_squares().items()}
     assert dict(analysis.mean_squares(ROAD, damping=0.3, speed=1.0, car=skyhook)) == pytest.approx(expected)
-    for car in (skyhook, TwoMassCar()):
-        with pytest.raises(ParameterError, match="car must be of one mass"):
+    for car, message in (
+        (skyhook, "car must be of one mass"),
+        (TwoMassCar(), "road must be of first order for a two_mass car"),
+    ):
+        with pytest.raises(ParameterError, match=message):
             analysis.optimal_feedback(ROAD, speed=1.0, car=car)
 
 

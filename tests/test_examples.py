@@ -40,6 +40,18 @@ def test_train_and_compare(tmp_path):
     assert (tmp_path / "agent" / "agent.json").read_text() == made
 
 
+def test_rules_of_two_masses(tmp_path):
+    rules = ("--rewards", "comfort", "--rules", "skyhook", "hybrid", "clipped_lqr")
+    output = run("rules_of_two_masses.py", *rules, "--episodes", "16", "--duration", "4", folder=tmp_path)
+    head, *rows = output.splitlines()
+    assert re.fullmatch(r"comfort: the best constant damping costs \S+; over it", head)
+    found = {row.split()[0]: row.split()[1:4:2] for row in rows}
+    assert list(found) == ["skyhook", "hybrid", "clipped_lqr"]
+    assert re.search(r"hybrid .*, mixing = \S+$", rows[1])
+    ratio, error = map(float, (text.rstrip(",") for text in found["clipped_lqr"]))
+    assert abs(ratio - 0.54) < 0.03 + 4 * error
+
+
 def test_own_training_loop(tmp_path):
     size = ("--timesteps", "100000", "--cars", "256", "--steps", "200")
     output = run("own_training_loop.py", *size, folder=tmp_path)

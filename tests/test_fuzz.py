@@ -170,7 +170,8 @@ CONTROL_TASK = make_task(speed=(0.5, 2.0), bandwidth=(0.05, 0.5))
 
 
 def call_controller(rng):
-    names = [name for name in CONTROLLERS if name not in ("optimal_feedback", "one_step_lookahead", "clipped_lqr")]
+    slow, on_the_wheel = {"optimal_feedback", "one_step_lookahead", "mixed_lookahead", "clipped_lqr"}, {"groundhook", "hybrid"}
+    names = [name for name in CONTROLLERS if name not in slow | on_the_wheel]
     name = names[rng.integers(len(names))] if rng.integers(5) else junk(rng)
     yield {"controller": name}
     controller = make_controller(name, CONTROL_TASK)

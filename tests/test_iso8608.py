@@ -76,3 +76,17 @@ def test_a_class_goes_wherever_a_road_goes():
 def test_bad_classes_are_told(road, message):
     with pytest.raises(ParameterError, match=message):
         make_road(road)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("spacing", [0.1, 0.5, 2.0])
+def test_a_bounded_road_of_a_class_has_its_autocovariance_at_any_spacing(spacing):
+    """Its second corner is far beyond: from point to point the fast motion forgets all."""
+    road = MultiplicativeRoad.from_iso8608("C")
+    _, heights = roadgym.sample_road(road, spacing=spacing, points=12, number=6000, seed=4)
+    assert np.isfinite(heights).all()
+    for lag in (0, 1, 5):
+        products = heights[:, : 12 - lag] * heights[:, lag:]
+        found = products.mean(axis=1)
+        expected = road.variance * float(road.shaping_filter().autocovariance(road.wavenumber * spacing * lag))
+        assert abs(found.mean() - expected) < 4.5 * found.std(ddof=1) / math.sqrt(len(found)), lag

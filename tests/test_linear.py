@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from plants import EVERY_ROAD
 from scipy.integrate import quad
 
 import analysis
@@ -14,7 +15,7 @@ from roadgym.plant import Plant
 from roadgym.roads import make_road
 from roadgym.task import make_task
 
-LINEAR = [name for name in ROADS if make_road(name).shaping_filter() is not None]
+LINEAR = [name for name in ROADS if make_road(EVERY_ROAD[name]).shaping_filter() is not None]
 
 
 def system_of(name, damping=0.3, ratio=1.3, bandwidth=0.2):
@@ -66,7 +67,7 @@ def test_kernel_moves_the_state_as_the_matrices_do(name):
     plant.start(np.arange(lanes, dtype=np.uint64))
     for row, value in zip(kept, start, strict=True):
         plant.set_row(row, value)
-    if name == "two_corner":  # its level is a sum of its states
+    if name in ("two_corner", "power_law"):  # whose level is a sum of their states
         plant.set_row("level", task.road.shaping_filter().level @ start[2:])
     if name == "harmonic":  # which lives on a circle, to which its kernel returns it
         start[2:] *= np.sqrt(2) / np.hypot(*start[2:])

@@ -113,9 +113,8 @@ def test_pictures_for_a_phone_are_narrow_and_say_the_same(comparison, tmp_path, 
 
 def test_table_reads_in_a_terminal_of_80_columns():
     agents = {name: [make_controller("skyhook", TASK)] for name in ("runs/a", "x" * 40)}
-    found = compare(
-        agents, environment=ENVIRONMENT, speeds=[1.0, 1.5], bandwidths=[0.1], controllers=list(CONTROLLERS), episodes=16
-    )
+    rules = [name for name in CONTROLLERS if name not in ("groundhook", "hybrid")]  # which need a wheel
+    found = compare(agents, environment=ENVIRONMENT, speeds=[1.0, 1.5], bandwidths=[0.1], controllers=rules, episodes=16)
     text = table(found)
     assert max(map(len, text.splitlines())) <= WIDTH == 80
     lines = text.splitlines()

@@ -5,9 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from plants import EVERY_ROAD
 from scipy import stats
 
-from roadgym import ROADS, GaussianRoad, HarmonicRoad, MultiplicativeRoad, ParameterError
+from roadgym import GaussianRoad, HarmonicRoad, MultiplicativeRoad, ParameterError
 from roadgym.plant import Plant
 from roadgym.roads import make_road
 from roadgym.roads.kicks import CELLS, direction_quantiles
@@ -133,19 +134,21 @@ def test_table_of_directions_has_the_second_moment_of_its_law(shape):
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("name", list(ROADS))
+@pytest.mark.parametrize("name", EVERY_ROAD)
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_every_road_starts_in_its_law_and_keeps_it_at_any_speed(name, speed):
     number = 200_000
-    plant = Plant(make_task(road=name, speed=speed), number)
+    road = make_road(EVERY_ROAD[name])
+    plant = Plant(make_task(road=road, speed=speed), number)
     plant.start(np.arange(number, dtype=np.uint64))
     law = {
         "harmonic": stats.arcsine(-np.sqrt(2), 2 * np.sqrt(2)),
         "multiplicative": stats.beta(2.5, 2.5, -np.sqrt(6), 2 * np.sqrt(6)),  # (1 - z^2/r0^2)^(alpha - 1/2), alpha = 2
     }.get(name, stats.norm())  # all others are Gaussian
+    cdf = law.cdf if road.periodic is None else road.periodic.distribution
     for _ in range(2):
         z = plant.row("level").astype(float)
-        assert stats.kstest(z, law.cdf).pvalue > 1e-3
+        assert stats.kstest(z, cdf).pvalue > 1e-3
         for _ in range(10):
             plant.step(np.full(number, 0.5, np.float32))
 
@@ -198,9 +201,9 @@ def test_another_bandwidth_keeps_variance_and_shape(name):
         assert other.shape == road.shape
 
 
-@pytest.mark.parametrize("name", list(ROADS))
+@pytest.mark.parametrize("name", EVERY_ROAD)
 def test_road_survives_being_a_mapping(name):
-    road = make_road(name)
+    road = make_road(EVERY_ROAD[name])
     assert road.kind == name
     assert make_road(dataclasses.asdict(road)) == road
 

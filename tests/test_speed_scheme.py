@@ -11,7 +11,7 @@ from speed_scheme import scheme_mean_squares
 from roadgym import SPEED_NOISES, GaussianRoad, LowPassSpeedNoise, MultiplicativeRoad
 from roadgym import compiled as rows
 from roadgym.compiled import LANES
-from roadgym.task import LARGEST_ANGLE
+from roadgym.resolution import LARGEST_ANGLE
 
 LINEAR_PLANTS = [plant for plant in PLANTS if plant["road"] in ("harmonic", "first_order", "gaussian")]  # known to this file
 

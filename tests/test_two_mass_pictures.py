@@ -93,7 +93,7 @@ def test_a_wheel_off_the_road_is_told():
 
 def test_figures_are_those_of_the_plant_in_si_units():
     names = ["acceleration", "wheel_load", "displacement", "level"]
-    env = make(observation=names, observe_operating_point=False)
+    env = make(observation=names, observe_operating_point=False, car={"kind": "two_mass", "weighting": "Wk"})
     env.reset(seed=3)
     for _ in range(50):
         acceleration, load, body, road = env.step(act(0.3))[0] * env.signal_scale

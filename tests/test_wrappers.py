@@ -116,13 +116,13 @@ def test_infos_tell_the_cost_as_it_is():
 
 
 def test_where_theory_knows_no_advantage_the_cost_is_paid():
-    env = wrappers.learning(gymnasium.make(roadgym.ENVIRONMENT_ID, road="first_order"))
+    env = wrappers.learning(gymnasium.make(roadgym.ENVIRONMENT_ID, road="harmonic"))
     env.reset(seed=1)
     _, reward, _, _, info = env.step(np.array([0.0], np.float32))
     assert "cost" not in info
     assert reward == pytest.approx(-info["displacement"] / env.unwrapped.task.road.variance)
     for wrapper, bare in ((wrappers.AdvantageReward, env), (wrappers.VectorAdvantageReward, None)):
-        bare = bare or gymnasium.make_vec(roadgym.ENVIRONMENT_ID, 2, road="first_order")
+        bare = bare or gymnasium.make_vec(roadgym.ENVIRONMENT_ID, 2, road="harmonic")
         with pytest.raises(ParameterError, match="a plant whose advantage theory knows"):
             wrapper(bare)
 

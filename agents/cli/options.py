@@ -47,7 +47,11 @@ RANGE: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("LOW", "HIGH")}
 ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
     "road": (
         "--road",
-        {"type": component, "metavar": "ROAD", "help": f"{', '.join(ROADS)}, or a JSON mapping with the key kind"},
+        {
+            "type": component,
+            "metavar": "ROAD",
+            "help": f"{', '.join(ROADS)}, a file with a profile, or a JSON mapping with the key kind",
+        },
     ),
     "speed_noise": (
         "--speed-noise",
@@ -157,7 +161,8 @@ def add_environment(parser: argparse.ArgumentParser) -> None:
 def given_environment(chosen: argparse.Namespace) -> dict[str, Any]:
     """The parameters of the environment that are given, in the order of `ENVIRONMENT`."""
     found = {parameter: getattr(chosen, f"environment_{parameter}") for parameter in ENVIRONMENT}
-    return {parameter: value for parameter, value in found.items() if value is not None}
+    given = {parameter: value for parameter, value in found.items() if value is not None}
+    return given | {"road": ROADS.lasting(given["road"])} if "road" in given else given
 
 
 def environment_from(chosen: argparse.Namespace) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from ..benchmark import CASES
 from ..names import CONTROLLERS_SHOWN
 from .commands import run_compare, run_drive, run_evaluate, run_train, run_tune
 from .options import ENVIRONMENT, add_environment, add_evaluation, add_training, component, nonempty, weights
+from .road import run_road
 from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
@@ -22,9 +23,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="roadgym",
         description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
-        epilog="exit codes: 0 success; 1 a plant that is not certified; 2 a wrong argument, a file that cannot be read or "
-        "written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, and none "
-        "with NO_COLOR.",
+        epilog="exit codes: 0 success; 1 a plant or a profile that is not certified; 2 a wrong argument, a file that cannot be "
+        "read or written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, "
+        "and none with NO_COLOR.",
     )
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -131,7 +132,10 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym certify --road gaussian --speed 1.5",
     )
     certify.add_argument(
-        "--road", type=component, default="multiplicative", help=f"{', '.join(ROADS)}, or a JSON mapping (%(default)s)"
+        "--road",
+        type=component,
+        default="multiplicative",
+        help=f"{', '.join(ROADS)}, a file with a profile, or a JSON mapping (%(default)s)",
     )
     certify.add_argument(
         "--speed-noise", type=component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind (none)"
@@ -146,6 +150,31 @@ def make_parser() -> argparse.ArgumentParser:
     certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s)")
     certify.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
     certify.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+    road = _command(
+        commands,
+        "road",
+        run_road,
+        "tell class, waviness, roughness index and parameters of a measured profile; exit code 1 if it is not of the class "
+        "that it claims",
+        "roadgym road profile.csv --units mm --output results",
+    )
+    road.add_argument("file", type=nonempty, metavar="FILE", help="heights over the distance: a table (CSV), ERD or OpenCRG")
+    road.add_argument("--units", metavar="UNIT", help="of the heights: m, mm, in or ft (what the file tells, or m)")
+    road.add_argument(
+        "--column", type=int, metavar="N", help="which heights of the file, from 1 (the only ones, or the middle)"
+    )
+    road.add_argument(
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="frequencies to fit, cycles/m (0.011 2.83, of ISO 8608)"
+    )
+    road.add_argument(
+        "--folded",
+        action="store_true",
+        help="the heights are mere points of a road, as a simulation gives them, and no averages as of a profilometer",
+    )
+    road.add_argument("--iso-class", metavar="CLASS", help="A to H: certify that the profile is of this class of ISO 8608")
+    road.add_argument("--json", action="store_true", help="print JSON instead of the text")
+    road.add_argument("--output", type=nonempty, metavar="DIR", help="write a page with pictures, road.html, into this folder")
 
     benchmark = _command(
         commands, "benchmark", run_benchmark, "measure speed side by side with peers", "roadgym benchmark --output speed.json"

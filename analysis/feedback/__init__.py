@@ -37,8 +37,19 @@ from .grid import *
 from .iteration import *
 from .model import *
 from .policy import *
-from .policy import OptimalFeedback, Refinement, kept_files
+from .policy import Feedback, OptimalFeedback, Refinement, kept_files
 from .search import *
-from .search import check_car, check_road, optimal_feedback
+from .search import check_plant, optimal_feedback
+from .white.search import WhiteRefinement, WhiteRoadFeedback, WhiteTable
 
-__all__ = ["OptimalFeedback", "Refinement", "check_car", "check_road", "kept_files", "optimal_feedback"]
+__all__ = [
+    "Feedback",
+    "OptimalFeedback",
+    "Refinement",
+    "WhiteRefinement",
+    "WhiteRoadFeedback",
+    "WhiteTable",
+    "check_plant",
+    "kept_files",
+    "optimal_feedback",
+]

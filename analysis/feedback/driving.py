@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from roadgym.plant import Plant
 from roadgym.task import Task
 
 from ..checks import FloatArray
 from ..control_variates import adjust, control_dampings, expected_squares, least_transient
-from .grid import STATE, SingleArray, evaluate
+from .grid import SingleArray
 from .iteration import Share
 
 LANES_DRIVEN, PIECE = 2560, 250  # cars driven together, and intervals between two looks at the standard error
 FEWEST_PIECES = 3  # the adjusted error is soon small, and shorter drives adjust less well
 
+Respond = Callable[[int, int, SingleArray, SingleArray], None]
+
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """Driven cost, adjusted by control variates, its standard error, root mean squares of (Y, X), and the pieces it took."""
+    """Driven cost, adjusted by control variates, its standard error, root mean squares of the moving signals, and pieces."""
 
     cost: float
     standard_error: float
@@ -33,9 +34,10 @@ class Drive:
 
 def drive(
     task: Task,
-    table: tuple[SingleArray, FloatArray, npt.NDArray[np.int64]],
+    respond: Respond,
     noise: np.random.SeedSequence,
     *,
+    moving: Sequence[str],
     precision: float,
     pieces: int | None,
     share: Share,
@@ -43,6 +45,9 @@ def drive(
     told: Callable[[float], None],
 ) -> Drive:
     """Drive a feedback for ``pieces``, or until the relative standard error is at most ``precision``.
+
+    ``respond`` is given a range of rows, observations of ``task``, and the row of D to write to; ``moving`` names the signals
+    whose root mean squares are wanted.
 
     Constant dampings over the same noise serve as control variates, see `analysis.control_variates`. A start at rest leaves
     exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4, and to far less for those.
@@ -54,27 +59,25 @@ def drive(
         return plant, plant.start(seeds).observations
 
     plant, states = start()
-    columns = np.array([task.signals.index(name) for name in STATE])
-    moving = [task.car.mean_squares.index(name) for name in STATE[:2]]
+    rows = [task.car.mean_squares.index(name) for name in moving]
     low, high = np.array(task.damping_range, np.float32)
     damping = np.empty(LANES_DRIVEN, np.float32)
-    total, squares = np.zeros(LANES_DRIVEN), np.zeros(2)
+    total, squares = np.zeros(LANES_DRIVEN), np.zeros(len(rows))
     forgotten = 5 / (task.damping_range[0] * task.car.natural_frequency)
     skipped = math.ceil(max(forgotten, least_transient(task)) / task.control_interval)
     constants = control_dampings(task, skipped * task.control_interval, LANES_DRIVEN)
-    expected = np.array(task.reward) @ expected_squares(task, constants, task.speed[0])
+    weights = np.array(task.reward)
+    expected = weights[weights > 0] @ expected_squares(task, constants, task.speed[0])[weights > 0]  # others may be infinite
     rivals = [start()[0] for _ in constants]
     held = [np.full(LANES_DRIVEN, constant, np.float32) for constant in constants]
     controls = np.zeros((len(constants), LANES_DRIVEN))
-
-    def respond(seen: SingleArray) -> None:
-        share(LANES_DRIVEN, lambda begin, end: evaluate(begin, end, seen, columns, *table, damping))
 
     step, measured, mean, error = 0, 0, 0.0, math.inf
     least = FEWEST_PIECES if pieces is None else pieces
     while measured < least * PIECE or (pieces is None and error > precision * mean):
         for _ in range(PIECE if step >= skipped else skipped):
-            respond(states)
+            seen = states
+            share(LANES_DRIVEN, lambda begin, end, seen=seen: respond(begin, end, seen, damping))
             interval = plant.step(np.clip(damping, low, high, out=damping))
             states = interval.observations
             rewards = [rival.step(constant).reward for rival, constant in zip(rivals, held, strict=True)]
@@ -82,7 +85,7 @@ def drive(
                 total -= interval.reward
                 for control, reward in zip(controls, rewards, strict=True):
                     control -= reward
-                squares += np.mean(interval.mean_squares[moving], axis=1, dtype=float)
+                squares += np.mean(interval.mean_squares[rows], axis=1, dtype=float)
                 measured += 1
             step += 1
         if measured:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import functools
+import hashlib
 import io
 import json
 import math
+import os
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -46,8 +49,12 @@ class Refinement:
     standard_error: float
 
 
+Result = TypeVar("Result", bound="Feedback")
+Kept = TypeVar("Kept")
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class OptimalFeedback:
+class Feedback(abc.ABC):
     """The best feedback found at one operating point; made by `optimal_feedback`.
 
     Attributes:
@@ -57,12 +64,9 @@ class OptimalFeedback:
         weights: weights of the mean squares.
         bounds: smallest and largest damping, 1.
         control_interval: s.
-        cost: driven cost, 1: minus the mean reward of the environment.
+        cost: driven cost: minus the mean reward of the environment.
         standard_error: of the cost.
-        history: the refinements, coarse to fine.
         signals: names of the signals in the observations that `predict` is given, in order.
-        box: half the sides of the rectangle of (Y, X), in standard deviations of the road, shape (2,).
-        policy: the tabulated polynomials, shape (rings, rays, rows, rows, 4).
     """
 
     road: Road
@@ -73,17 +77,27 @@ class OptimalFeedback:
     control_interval: float
     cost: float
     standard_error: float
-    history: tuple[Refinement, ...]
-    signals: tuple[str, ...] = (*STATE, "speed", "bandwidth")
-    box: FloatArray
-    policy: SingleArray
+    signals: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in STATE:
+        for name in self.state:
             if name not in self.signals:
                 raise ParameterError(f"optimal feedback needs the signal {name!r}; signals has {', '.join(self.signals)}")
 
-    def with_signals(self, signals: Sequence[str]) -> OptimalFeedback:
+    @property
+    @abc.abstractmethod
+    def state(self) -> tuple[str, ...]:
+        """Names of the states of car and road that it takes."""
+
+    @abc.abstractmethod
+    def kept(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+        """(figures as JSON knows them, arrays) that `save` keeps."""
+
+    @abc.abstractmethod
+    def _evaluate(self, rows: npt.NDArray[Any], columns: npt.NDArray[np.int64]) -> SingleArray:
+        """D within the bounds, shape (n,), at ``rows`` that have the states in these columns."""
+
+    def with_signals(self: Result, signals: Sequence[str]) -> Result:
         """The same feedback for observations of ``signals``, such as those of a task.
 
         Raises:
@@ -92,11 +106,11 @@ class OptimalFeedback:
         return dataclasses.replace(self, signals=tuple(signals))
 
     def damping(self, states: npt.ArrayLike) -> SingleArray:
-        """D, shape (n,), float32, at ``states`` (Y, X, Z, U), shape (n, 4), in standard deviations of the road."""
+        """D, shape (n,), float32, at ``states``, shape (n, states), in standard deviations of the road."""
         rows = np.atleast_2d(number_array("states", states))
-        if rows.ndim != 2 or rows.shape[1] != len(STATE):
-            raise ParameterError(f"states must have the shape (n, {len(STATE)}), got {np.shape(states)}")
-        return self._evaluate(rows, np.arange(len(STATE)))
+        if rows.ndim != 2 or rows.shape[1] != len(self.state):
+            raise ParameterError(f"states must have the shape (n, {len(self.state)}), got {np.shape(states)}")
+        return self._evaluate(rows, np.arange(len(self.state)))
 
     def predict(
         self,
@@ -116,8 +130,35 @@ class OptimalFeedback:
         rows = np.atleast_2d(number_array("observation", observation))
         if rows.ndim != 2 or rows.shape[1] != len(self.signals):
             raise ParameterError(f"observation must have {len(self.signals)} signals, got the shape {np.shape(observation)}")
-        columns = np.array([self.signals.index(name) for name in STATE])
+        columns = np.array([self.signals.index(name) for name in self.state])
         return self._evaluate(rows, columns).reshape((*np.shape(observation)[:-1], 1)), state
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class OptimalFeedback(Feedback):
+    """The best feedback found on a second-order road, of the states (Y, X, Z, U); made by `optimal_feedback`.
+
+    Attributes:
+        history: the refinements, coarse to fine.
+        box: half the sides of the rectangle of (Y, X), in standard deviations of the road, shape (2,).
+        policy: the tabulated polynomials, shape (rings, rays, rows, rows, 4).
+    """
+
+    history: tuple[Refinement, ...]
+    signals: tuple[str, ...] = (*STATE, "speed", "bandwidth")
+    box: FloatArray
+    policy: SingleArray
+
+    @property
+    def state(self) -> tuple[str, ...]:
+        """(Y, X, Z, U)."""
+        return STATE
+
+    def kept(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+        """The figures, and the table."""
+        history = [dataclasses.asdict(refinement) for refinement in self.history]
+        figures = {"cost": self.cost, "standard_error": self.standard_error, "history": history}
+        return figures, {"box": self.box, "policy": self.policy}
 
     def _evaluate(self, rows: npt.NDArray[Any], columns: npt.NDArray[np.int64]) -> SingleArray:
         result = np.empty(len(rows), np.float32)
@@ -133,17 +174,14 @@ class OptimalFeedback:
         return self.policy.reshape(-1), geometry, shape
 
 
-def save(path: Path, text: str, result: OptimalFeedback) -> None:
+def save(path: Path, text: str, result: Feedback) -> None:
     """Keep a result, whole or not at all; where it cannot be kept there is a warning, for the result is worth more."""
-    figures = {
-        "cost": result.cost,
-        "standard_error": result.standard_error,
-        "history": [dataclasses.asdict(refinement) for refinement in result.history],
-    }
+    figures, arrays = result.kept()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        content: dict[str, Any] = {**arrays, "description": text, "figures": json.dumps(figures)}
         with whole_file(path) as part, part.open("wb") as file:
-            np.savez(file, description=text, figures=json.dumps(figures), box=result.box, policy=result.policy)
+            np.savez(file, **content)
     except OSError as error:
         warn_not_kept(path.parent, error)
 
@@ -157,8 +195,19 @@ def kept_files(folder: Path | None) -> list[Path]:
     ]
 
 
-def load(path: Path, text: str, point: Mapping[str, Any]) -> OptimalFeedback | None:
-    """A kept result, or None where there is none, or none that is sound and of this description."""
+def kept_path(cache: str | os.PathLike[str] | None, text: str) -> Path | None:
+    """Where a result of this description is kept; None without a folder."""
+    return None if cache is None else Path(cache) / f"feedback-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
+
+
+def read(path: Path, text: str, made: Callable[[dict[str, Any], dict[str, npt.NDArray[Any]]], Kept | None]) -> Kept | None:
+    """What is kept, or None where there is nothing, or nothing that is sound and of this description.
+
+    Args:
+        path: the file.
+        text: the description.
+        made: makes of figures and arrays what was kept, or None of what is not sound.
+    """
     try:
         content = path.read_bytes()
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -167,16 +216,23 @@ def load(path: Path, text: str, point: Mapping[str, Any]) -> OptimalFeedback | N
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             if str(file["description"]) != text:
                 return None
-            figures = json.loads(str(file["figures"]))
-            history = tuple(Refinement(**refinement) for refinement in figures["history"])
-            box, policy = file["box"], file["policy"]
-        return _sound(OptimalFeedback(**point, **figures | {"history": history}, box=box, policy=policy))
+            arrays = {name: file[name] for name in file.files if name not in ("description", "figures")}
+            return made(json.loads(str(file["figures"])), arrays)
     except Exception:  # a damaged file can raise anything
         return None
 
 
-def _sound(result: OptimalFeedback) -> OptimalFeedback | None:
-    """The result, if `optimal_feedback` could have found it."""
+def load(path: Path, text: str, point: Mapping[str, Any]) -> OptimalFeedback | None:
+    """A kept `OptimalFeedback`, or None as of `read`."""
+    return read(path, text, functools.partial(sound_feedback, point))
+
+
+def sound_feedback(
+    point: Mapping[str, Any], figures: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]
+) -> OptimalFeedback | None:
+    """The result that was kept, if `optimal_feedback` could have found it."""
+    history = tuple(Refinement(**refinement) for refinement in figures["history"])
+    result = OptimalFeedback(**point, **figures | {"history": history}, box=arrays["box"], policy=arrays["policy"])
     grids = [(grid.rings, grid.rays, grid.rows) for grid in result.history]
     chosen = min(result.history, key=lambda grid: grid.cost)  # the first of equals, as it chooses
     positive_figures = [result.cost, result.standard_error, *result.box.tolist()]
@@ -184,7 +240,7 @@ def _sound(result: OptimalFeedback) -> OptimalFeedback | None:
         positive_figures += [grid.sweeps, grid.expected, grid.cost, grid.standard_error]
     sound = (
         grids == list(GRIDS[: len(grids)])
-        and all(type(figure) in (int, float) and 0 < figure < math.inf for figure in positive_figures)
+        and are_positive(positive_figures)
         and result.box.shape == (2,)
         and result.box.dtype == np.float64
         and result.policy.shape == (chosen.rings, chosen.rays, chosen.rows, chosen.rows, 4)
@@ -192,3 +248,8 @@ def _sound(result: OptimalFeedback) -> OptimalFeedback | None:
         and bool(np.isfinite(result.policy).all())
     )
     return result if sound else None
+
+
+def are_positive(figures: Sequence[Any]) -> bool:
+    """Are all of them finite numbers above zero?"""
+    return all(type(figure) in (int, float) and 0 < figure < math.inf for figure in figures)

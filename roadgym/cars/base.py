@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,8 @@ class Car(abc.ABC):
 
     They may square the first ``squared`` of the signals themselves, which is faster: then ``prepare`` sets the rows
     ``work[WORK + k * LANES + i]`` to the squares now times ``work[SHARE]``, and ``advance`` adds to them. All other signals are
-    squared for them. After these rows follow ``working_rows`` more for their own use within an interval.
+    squared for them. After these rows follow ``working_rows`` more for their own use within an interval. Signals behind filters
+    (`roadgym.filters`) are made for them too.
     """
 
     if TYPE_CHECKING:
@@ -47,6 +48,8 @@ class Car(abc.ABC):
     constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
     cost_unit: ClassVar[float | None] = None  # that of the weighted mean squares in the reward; None: E Z^2 of the road
     default_reward: ClassVar[Mapping[str, float]] = {"displacement": 1.0}
+    optional: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # signals that it tells where asked to, and the fields that ask
+    evaluated: ClassVar[tuple[str, ...]] = ()  # those of them that evaluations tell unasked
     usual_plant: ClassVar[Mapping[str, Any]] = {}  # parameters of the environment where a command is not given them
     starts_on_road: ClassVar[bool] = False  # does an episode start with its heights at that of the road, or at zero
     squared: ClassVar[int] = 0
@@ -61,8 +64,13 @@ class Car(abc.ABC):
 
     @property
     def rows(self) -> int:
-        """Rows of the block that it needs, its states first."""
-        return len(self.motion.states)
+        """Rows of the block that it needs, its states first; those of filters of its signals are not among them."""
+        return len(self.motion.own.states)
+
+    def with_signals(self, names: Iterable[str]) -> Self:
+        """The car as it is, or telling those of its `optional` signals too that are among ``names``."""
+        fields = {field: value for name in names for field, value in self.optional.get(name, {}).items()}
+        return dataclasses.replace(self, **fields) if fields else self
 
     def table(self, substep: float, damping: tuple[float, float]) -> npt.NDArray[np.float64]:
         """Constants for the lane functions, the same for every lane.
@@ -119,8 +127,9 @@ class Car(abc.ABC):
 
     @property
     def fastest(self) -> float:
-        """The largest of its undamped natural frequencies, in units of w1."""
-        return float(np.abs(np.linalg.eigvals(self.motion.drift)).max())
+        """The largest of its undamped natural frequencies, and of the rates of its filters, in units of w1."""
+        own = float(np.abs(np.linalg.eigvals(self.motion.own.drift)).max())
+        return max(own, *(chosen.rate for chosen in self.motion.filters.values())) if self.motion.filters else own
 
     @property
     def firmness(self) -> float:
@@ -128,7 +137,7 @@ class Car(abc.ABC):
         return float(-np.trace(self.motion.damper))
 
     def decay(self, damping: float) -> float:
-        """Rate at which its free motion decays in the end at a constant D, in units of w1."""
+        """Rate at which its free motion, filters included, decays in the end at a constant D, in units of w1."""
         return float(-np.linalg.eigvals(self.motion.drift + 2 * damping * self.motion.damper).real.max())
 
     def draw(self, canvas: Canvas) -> None:

@@ -96,7 +96,8 @@ class LinearCar(Car):
         """Heights, and the Chebyshev series of the factors as polynomials in D over its range."""
         from scipy.linalg import expm
 
-        motion, size = self.motion, len(self.motion.states)
+        motion = self.motion.own
+        size = len(motion.states)
         if size > STATES:
             raise ParameterError(f"a {self.kind} car must have {STATES} states at most, got {', '.join(motion.states)}")
         if (self.rows, self.working_rows, self.squared) != (STATES, LinearCar.working_rows, 0):

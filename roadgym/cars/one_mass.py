@@ -14,10 +14,12 @@ squares converge as h^4.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
+from ..comfort import WEIGHTED, check_weighting, weighted
 from ..compiled import (
     DAMPING,
     INVERSE_SUBSTEP,
@@ -154,11 +156,14 @@ class QuarterCar(Car):
 
     Args:
         natural_frequency: undamped natural frequency w1, rad/s; 1 is the paper's dimensionless time.
+        weighting: "Wk" to tell weighted_acceleration too, through that filter of ISO 2631-1 (`roadgym.comfort`).
     """
 
     kind: str = dataclasses.field(default="one_mass", init=False)
     natural_frequency: float = 1.0
+    weighting: str | None = None
 
+    optional: ClassVar[Mapping[str, Mapping[str, Any]]] = WEIGHTED
     squared = len(MEAN_SQUARES)
     working_rows = 4
     prepare = prepare
@@ -166,8 +171,10 @@ class QuarterCar(Car):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "natural_frequency", positive("natural_frequency", self.natural_frequency))
+        if self.weighting is not None:
+            check_weighting(self.weighting)
 
     @property
     def motion(self) -> Motion:
         """Its equations, (13)."""
-        return MOTION
+        return weighted(MOTION, self.weighting, self.natural_frequency)

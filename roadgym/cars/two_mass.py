@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from ..comfort import WEIGHTED, check_weighting, weighted
 from ..linear import Motion, Signal
 from ..parameters import ParameterError, non_negative, positive, positive_range, shown
 from .linear import LinearCar
@@ -74,6 +75,7 @@ class TwoMassCar(LinearCar):
         spring_rate, tyre_rate: k_s and k_t, N/m.
         tyre_damping: c_t, N s/m.
         damping_coefficients: smallest and largest c of the damper, N s/m: the range of the action where none is given.
+        weighting: "Wk" to tell weighted_acceleration too, through that filter of ISO 2631-1 (`roadgym.comfort`).
     """
 
     kind: str = dataclasses.field(default="two_mass", init=False)
@@ -83,7 +85,10 @@ class TwoMassCar(LinearCar):
     tyre_rate: float = 160e3
     tyre_damping: float = 0.0
     damping_coefficients: tuple[float, float] = (300.0, 4000.0)
+    weighting: str | None = None
 
+    optional: ClassVar[Mapping[str, Mapping[str, Any]]] = WEIGHTED
+    evaluated: ClassVar[tuple[str, ...]] = tuple(WEIGHTED)
     constructors = {"mass_ratio": "from_ratios"}  # noqa: RUF012  (as of the class above)
     cost_unit: ClassVar[float | None] = 1.0
     default_reward: ClassVar[Mapping[str, float]] = {"acceleration": 1.0}
@@ -100,6 +105,8 @@ class TwoMassCar(LinearCar):
                 f"damping_coefficients must be a pair (low, high) with low < high, got {shown(self.damping_coefficients)}"
             )
         object.__setattr__(self, "damping_coefficients", ends)
+        if self.weighting is not None:
+            check_weighting(self.weighting)
 
     @classmethod
     def from_ratios(
@@ -139,7 +146,8 @@ class TwoMassCar(LinearCar):
     def motion(self) -> Motion:
         """The equations above."""
         mass_ratio, stiffness_ratio = self.unsprung_mass / self.sprung_mass, self.tyre_rate / self.spring_rate
-        return motion_of(mass_ratio, stiffness_ratio, float(self.damping_ratio(self.tyre_damping)))
+        own = motion_of(mass_ratio, stiffness_ratio, float(self.damping_ratio(self.tyre_damping)))
+        return weighted(own, self.weighting, self.natural_frequency)
 
     @property
     def units(self) -> Mapping[str, float]:

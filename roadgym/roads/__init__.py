@@ -14,6 +14,9 @@ from .gaussian import GaussianRoad
 from .harmonic import HarmonicRoad
 from .linear import LinearRoad
 from .multiplicative import MultiplicativeRoad
+from .power_law import PowerLawRoad
+from .profile import ProfileRoad
+from .profile_files import Profile, read_profile
 from .two_corner import TwoCornerRoad
 
 __all__ = [
@@ -23,9 +26,13 @@ __all__ = [
     "HarmonicRoad",
     "LinearRoad",
     "MultiplicativeRoad",
+    "PowerLawRoad",
+    "Profile",
+    "ProfileRoad",
     "Road",
     "TwoCornerRoad",
     "make_road",
+    "read_profile",
     "sample_road",
 ]
 
@@ -38,13 +45,16 @@ ROADS: Registry[Road] = Registry(
         "gaussian": GaussianRoad,
         "multiplicative": MultiplicativeRoad,
         "two_corner": TwoCornerRoad,
+        "power_law": PowerLawRoad,
+        "profile": ProfileRoad,
     },
     presets={f"iso_{name.lower()}": {"kind": "first_order", "iso_class": name} for name in iso8608.MEANS},
+    of_file="profile",
 )
 
 
 def make_road(road: str | Mapping[str, Any] | Road) -> Road:
-    """A road from its name, from a mapping with the key "kind" and its parameters, or as it is.
+    """A road from its name, that of a file with a profile, a mapping with the key "kind" and its parameters, or as it is.
 
     Raises:
         ParameterError: unknown kind or parameter, or a value out of range.

@@ -63,7 +63,9 @@ def sample_road(
     for role in ("prepare", "start", "advance"):
         plant[f"road_{role}"] = lane_address(made, getattr(made, role), dtype)
     plant["road_table"], plant["fill_words"] = table.ctypes.data, fill_words.address(np.uint32)
-    plant["road_words"], plant["block_size"], plant["substep"] = made.words_per_substep, size, angle
+    steps = max(1, math.ceil(bandwidth * angle / made.largest_loss))  # from one point to the next
+    plant["road_words"], plant["block_size"], plant["substep"] = made.words_per_substep, size, angle / steps
+    plant["substeps"] = steps
     plant["speed_low"] = plant["speed_high"] = 1.0
     plant["bandwidth_low"] = plant["bandwidth_high"] = bandwidth
     counters = np.zeros((blocks, COUNTERS // LANES, LANES), np.uint32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from ..compiled import LEVEL, OWN_ROWS, SLOPE, LaneFunction
 from ..linear import ShapingFilter
 from ..parameters import ParameterError, check_ratio, within
+from .periodic import PeriodicLevel
 
 Self = TypeVar("Self", bound="Road")
 
@@ -33,8 +35,8 @@ class Road(abc.ABC):
     - ``advance``, of a whole block: moves LEVEL and SLOPE on by one substep with ``words_per_substep`` words a lane, and sets
       LEVEL_EXCESS.
 
-    What theory needs to know it asks the road: `lines` or `shaping_filter`, of which one is enough for every mean square, the
-    best constant damping and the autocovariance. A road with neither is driven wherever theory would be asked.
+    What theory needs to know it asks the road: `lines`, `shaping_filter` or `periodic`, of which one is enough for every mean
+    square, the best constant damping and the autocovariance. A road with none is driven wherever theory would be asked.
 
     What a component says of itself is checked when it is used (`roadgym.task.check_component`, `roadgym.plant.Plant`). Lane
     functions are trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one that
@@ -50,6 +52,7 @@ class Road(abc.ABC):
     rows: ClassVar[int] = OWN_ROWS  # of its own, from COEFFICIENT on
     takes_phase_noise: ClassVar[bool] = False  # does ``advance`` heed TURN_EXCESS and TURN_VARIANCE, and turn backwards too
     constructors: ClassVar[Mapping[str, str]] = {}  # class methods that make it of another parameter, by that parameter
+    largest_loss: ClassVar[float] = math.inf  # bandwidth times the angle of a step up to which its law is right
     loss_range: ClassVar[str] = "loss"  # range of the bandwidth times the angle of a substep, in `roadgym.parameters.RANGES`
     prepare: ClassVar[LaneFunction | None] = None
     start: ClassVar[LaneFunction]
@@ -86,6 +89,11 @@ class Road(abc.ABC):
 
         A pair for each wave: its share of the variance, and its wavenumber over that of the road.
         """
+        return None
+
+    @property
+    def periodic(self) -> PeriodicLevel | None:
+        """The level of a road that repeats itself and is straight between points, too many lines for a filter; else None."""
         return None
 
     def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter | None:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..compiled import compiled
+
 CELLS = 512
+CHANCES = 32  # kicks are far in some of them
 LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/2
 
 
@@ -48,3 +52,25 @@ def projection_curve(shape: float) -> npt.NDArray[np.float64]:
     root = np.concatenate([[0.0], np.sqrt(-np.log(g))])
     curve: npt.NDArray[np.float64] = np.interp(np.linspace(0.0, LARGEST_ROOT, CELLS + 1), root, eta)
     return curve
+
+
+@compiled
+def kick_cosines(keep: Any, shape: Any, far: Any) -> tuple[float, float]:
+    """(far, near) values of the cosine g of a kick, of which the first comes ``far`` times in CHANCES.
+
+    Brownian motion on a sphere of dimension 2 alpha lets the Gegenbauer polynomial of degree k decay at a rate proportional to
+    k (k + 2 alpha - 1). So where the mean of g is ``keep``, its mean square is (1 + 2 alpha keep^(2 + 1/alpha))/(2 alpha + 1),
+    which the two values have. In small steps 1 - g is a Gamma variate of shape alpha: with the chance of `far_chance` its third
+    moment nearly holds too.
+    """
+    decay = math.log(keep)
+    variance = keep * keep * (math.expm1(-2.0 * decay) + 2.0 * shape * math.expm1(decay / shape)) / (2.0 * shape + 1.0)
+    odds = math.sqrt(far / (CHANCES - far))
+    # both values stay within [-1, 1], whatever the step
+    spread = min(math.sqrt(max(variance, 0.0)), (1.0 + keep) * odds, (1.0 - keep) / odds)
+    return keep - spread / odds, keep + spread * odds
+
+
+def far_chance(shape: float) -> int:
+    """How many kicks in CHANCES are far: the weight of the larger node of Gauss's rule for a Gamma law, rounded."""
+    return max(1, round(CHANCES * (1 - 1 / math.sqrt(shape + 1)) / 2))

@@ -48,7 +48,7 @@ from ..parameters import ParameterError, check_ratio, within
 from . import iso8608
 from .base import Road, check_fields
 from .gaussian import oscillator, second_order_filter
-from .kicks import CELLS, LARGEST_ROOT, direction_quantiles, projection_curve
+from .kicks import CELLS, CHANCES, LARGEST_ROOT, direction_quantiles, far_chance, kick_cosines, projection_curve
 
 # the cosine g of a kick and its sine, for each of its two values; a small shape has the first pair alone: mean of g, and eta
 FAR_KEEP, FAR_KICK = COEFFICIENT, COEFFICIENT + LANES
@@ -60,7 +60,7 @@ CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 8 * LANES, COEFFICIENT + 9 * LANES  # of 
 # the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, how many kicks in CHANCES are far,
 # then the knots of a curve and the distances between them
 SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, FAR, CURVE = 0, 1, 2, 3, 4, 5
-CHANCES = 32
+LEAST_KEEP = 1e-9
 LARGE_NONCENTRALITY = 1e4  # above it chi'^2 is taken for the square of a shifted normal, whose error is below 1 over it
 
 
@@ -71,29 +71,8 @@ def rotations(angle: Any, bandwidth: Any) -> tuple[float, float, float]:
     keep = math.sqrt((a + d) * (a + d) + 4.0 * b * b) - 1.0
     total = math.atan2(2.0 * b, a + d)
     difference = math.acos(min((a - d) / (1.0 - keep), 1.0)) if keep < 1.0 else 0.0
-    return 0.5 * (total - difference), 0.5 * (total + difference), keep
-
-
-@compiled
-def kick_cosines(keep: Any, shape: Any, far: Any) -> tuple[float, float]:
-    """(far, near) values of the cosine g of a kick, of which the first comes ``far`` times in CHANCES.
-
-    Brownian motion on a sphere of dimension 2 alpha lets the Gegenbauer polynomial of degree k decay at a rate proportional to
-    k (k + 2 alpha - 1). So where the mean of g is ``keep``, its mean square is (1 + 2 alpha keep^(2 + 1/alpha))/(2 alpha + 1),
-    which the two values have. In small steps 1 - g is a Gamma variate of shape alpha: with the chance of `far_chance` its third
-    moment nearly holds too.
-    """
-    decay = math.log(keep)
-    variance = keep * keep * (math.expm1(-2.0 * decay) + 2.0 * shape * math.expm1(decay / shape)) / (2.0 * shape + 1.0)
-    odds = math.sqrt(far / (CHANCES - far))
-    # both values stay within [-1, 1], whatever the step
-    spread = min(math.sqrt(max(variance, 0.0)), (1.0 + keep) * odds, (1.0 - keep) / odds)
-    return keep - spread / odds, keep + spread * odds
-
-
-def far_chance(shape: float) -> int:
-    """How many kicks in CHANCES are far: the weight of the larger node of Gauss's rule for a Gamma law, rounded."""
-    return max(1, round(CHANCES * (1 - 1 / math.sqrt(shape + 1)) / 2))
+    # from delta times the angle of ln 2 on g is below zero, which no kick has: the road then forgets less than it should
+    return 0.5 * (total - difference), 0.5 * (total + difference), max(keep, LEAST_KEEP)
 
 
 @LaneFunction
@@ -390,6 +369,8 @@ class MultiplicativeRoad(Road):
     def check_driven(self) -> None:
         """The table of the scheme is right for a range of shapes."""
         check_ratio("noise_intensity", self.noise_intensity, "the shape alpha", self.shape, "shape")
+
+    largest_loss = 0.6  # of a step whose kick has the right mean
 
     @property
     def loss_range(self) -> str:  # type: ignore[override]
