@@ -20,7 +20,7 @@ import roadgym
 from agents.controllers import make_controller
 from agents.evaluation import evaluate
 from agents.figure_style import save_figure
-from agents.names import title
+from agents.names import title as name_shown
 from agents.records import write_atomically
 from analysis import explorer
 from analysis.paper import errata, figures
@@ -146,7 +146,7 @@ def draw_comfort_and_grip(path: Path) -> None:
         ):
             found = dict(zip(driven[name].names, driven[name].mean_squares[:, 0].tolist(), strict=True))
             here = place(found)
-            axis.plot(here[0], here[across], marker, color=color, label=title(name), markersize=7)
+            axis.plot(here[0], here[across], marker, color=color, label=name_shown(name), markersize=7)
         axis.set(xlabel="acceleration, m/s²", ylabel=label)
         axis.grid(visible=True, linewidth=0.3)
     handles, labels = figure.axes[0].get_legend_handles_labels()
