@@ -267,7 +267,8 @@ def evaluate(
         raise ParameterError(f"duration must be at least one control interval, {task.control_interval:g} s, got {duration:g}")
 
     number = episodes * len(points)
-    observed = dict.fromkeys(signal for controller in controllers.values() for signal in observed_by(controller, task))
+    everyone = (*controllers.values(), _Constant(math.nan))  # that of the control variates, which is handed those of the task
+    observed = dict.fromkeys(signal for controller in everyone for signal in observed_by(controller, task))
     constants = control_dampings(task, skipped * task.control_interval, episodes)
     known = balances(task, len(constants), episodes) if constants else []  # they need as long a start to be forgotten
     more = rows_of(known)

@@ -26,19 +26,24 @@ OBSERVATION = ("velocity", "wheel_velocity", "travel", "tyre_deflection", "speed
 
 
 def find_road(profile: roadgym.Profile) -> tuple[roadgym.ProfileRoad, roadgym.MultiplicativeRoad]:
-    """The profile as a road, and a bounded road of its spectrum: that which its heights tell, or one of a usual shape."""
+    """The profile as a road without its hills, and a bounded road that has its spectrum in the waves that shake a car.
+
+    A profile of some hundred metres does not tell where the spectrum levels off; there it does at `LONGEST_WAVE`.
+    """
     measured = roadgym.ProfileRoad(heights=tuple(profile.heights), spacing=profile.spacing, longest_wave=LONGEST_WAVE)
     found = analysis.identify(profile.heights, profile.spacing)
-    if found.bounded is not None:
-        road = found.bounded.road
-        assert isinstance(road, roadgym.MultiplicativeRoad)
-        return measured, road
-    twin, shape = found.second_order.road, 2.0
-    assert isinstance(twin, roadgym.GaussianRoad)
-    bound = math.sqrt(2 * (shape + 1) * twin.variance)
-    return measured, roadgym.MultiplicativeRoad.from_shape(
-        shape=shape, bandwidth=twin.bandwidth, wavenumber=twin.wavenumber, level_bound=bound
-    )
+    highest = found.corners[1][0] if found.corners else 10.0
+
+    def bounded(roughness: float) -> roadgym.MultiplicativeRoad:
+        return roadgym.MultiplicativeRoad.from_iso8608(
+            roughness, lowest_frequency=1 / LONGEST_WAVE, highest_frequency=highest, shape=2.0
+        )
+
+    def density(road: roadgym.roads.Road) -> float:
+        """At waves of 5 m, over which the body resonates at 20 m/s or so."""
+        return float(analysis.spectral_density(road, 2 * math.pi / 5, speed=1.0))
+
+    return measured, bounded(1e-4 * density(found.second_order.road) / density(bounded(1e-4)))
 
 
 def main() -> None:
@@ -57,7 +62,7 @@ def main() -> None:
     if chosen.profile is None:
         known = roadgym.PowerLawRoad.from_iso8608("C", waviness=2.3)
         distance, heights = roadgym.sample_road(known, spacing=0.1, points=10_000, seed=chosen.seed)
-        profile = roadgym.Profile(distance, heights[0])
+        profile = roadgym.Profile(distance=distance, heights=heights[0])
     else:
         profile = roadgym.read_profile(chosen.profile)
     measured, fitted = find_road(profile)

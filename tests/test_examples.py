@@ -1,13 +1,19 @@
 """The worked examples run at a small size, and the snippets of the documentation print what it says."""
 
 import doctest
+import math
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import roadgym
+from agents.evaluation import in_units_of
+from roadgym.task import make_task
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -62,6 +68,39 @@ def test_own_training_loop(tmp_path):
     assert abs(driven - theory) < 4 * error < 0.2
     saved, error = (float(text) for text in re.search(r"saved: (\S+) ± (\S+) of", output).groups())
     assert saved > 5 * error  # it has begun to learn
+
+
+def test_measured_road(tmp_path):
+    size = ("--output", "agent", "--timesteps", "1", "--episodes", "16", "--duration", "2")
+    output = run("measured_road.py", *size, folder=tmp_path)
+    first, *_, lost, carried = output.splitlines()
+    assert first.startswith("1000 m, every 0.1 m; fitted: MultiplicativeRoad(")
+    rows = re.findall(r"^ +(\S.*\S) (\S+) ± (\S+) \(m/s²\)², (\S+) of", output, re.MULTILINE)
+    assert [row[0] for row in rows] == 2 * ["best constant D", "agent", "skyhook"]
+    shares = {}
+    for k, (who, cost, error, share) in enumerate(rows):
+        best = float(rows[3 * (k // 3)][1])
+        assert float(share) == pytest.approx(float(cost) / best, abs=1e-3)
+        assert (float(error) == 0) == (who == "best constant D")
+        shares.setdefault(who, []).append(float(share))
+    told = float(re.search(r"profile: (\S+) %", lost).group(1))
+    assert told == pytest.approx(100 * (shares["agent"][1] - shares["agent"][0]), abs=0.2)
+    assert 0 <= float(re.search(r"loses (\S+) %", carried).group(1)) < 30
+
+
+def test_a_rule_made_for_one_road_sees_another_in_its_terms():
+    """On a road that is scaled, and named in other units, the same drive: heights, speeds and slopes are what they are."""
+    plain = roadgym.GaussianRoad(bandwidth=0.3, noise_intensity=0.02)
+    own = make_task(road=roadgym.GaussianRoad(bandwidth=0.3, noise_intensity=0.1, wavenumber=2.0), speed=0.6)
+    here = make_task(road=plain, speed=1.2)
+    seen = np.array([[0.5, -1.0, 2.0, 1.5, 1.2 / 2.2, 0.375]], np.float32)
+    found = in_units_of(own, here)(seen)[0]
+    deviation = math.sqrt(plain.variance / own.road.variance)
+    np.testing.assert_allclose(found[:3], deviation * seen[0, :3], rtol=1e-6)
+    assert found[3] == pytest.approx(deviation / 2 * seen[0, 3])  # dZ/ds is Omega U
+    assert found[4] / (1 - found[4]) == pytest.approx(2.4)  # 1.2 m/s on a road of twice the wavenumber
+    assert found[5] == seen[0, 5]
+    assert in_units_of(here, here)(seen) is seen
 
 
 @pytest.mark.parametrize("page", [page for page, snippets in SNIPPETS.items() if snippets])
