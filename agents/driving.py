@@ -248,6 +248,7 @@ def write_gif(path: Path, film: Iterator[Frame], total: int) -> None:
             rendering.REWARD,
             rendering.REWARD_AREA,
             rendering.FORCE,
+            rendering.FIRM,
         ):
             shades = np.linspace(0, 1, 2 + np.abs(np.array(stroke) - below).max() // 26)  # 1/10 of black to white, at most
             colours += [tuple(np.rint(below + (stroke - below) * shade).astype(int).tolist()) for shade in shades]
