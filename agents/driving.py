@@ -86,8 +86,9 @@ def frames(
     *,
     seed: int,
     options: dict[str, Any] | None = None,
+    every: int = 1,
 ) -> Iterator[Frame]:
-    """Pictures side by side, one of each driver, without end: of the start, and after each control interval; scales are shared.
+    """Pictures side by side, one of each driver, without end: of the start, and as they drive on; scales are shared.
 
     All drive the same road, that of ``seed``, from the same start.
 
@@ -96,6 +97,7 @@ def frames(
         environment: parameters of `roadgym.env.QuarterCarEnv`.
         seed: fixes the road; no training or evaluation meets it.
         options: of the reset.
+        every: control intervals from one picture to the next.
     """
     from roadgym.rendering import share_scales
 
@@ -104,15 +106,16 @@ def frames(
     for title, driver in drivers:
         seen = {"observation": list(observed_by(driver, task)), "observe_operating_point": False}  # each its own signals
         env = QuarterCarEnv(render_mode="rgb_array", **{**environment, **seen})
-        env.render_title = shortened(printable(title))
+        env.render_title, env.render_every = shortened(printable(title)), every
         observation, _ = env.reset(seed=stream_seed(seed, Purpose.FILM), options=options)
         cars.append((env, answers(driver, env.task), [observation, None]))
     for step in itertools.count():
         share_scales([env.history for env, _, _ in cars if env.history])
-        pictures = [np.asarray(env.render()) for env, _, _ in cars]
-        for picture in pictures[1:]:
-            picture[:, 0] = 200  # a thin line between them
-        yield np.hstack(pictures)
+        if step % every == 0:
+            pictures = [np.asarray(env.render()) for env, _, _ in cars]
+            for picture in pictures[1:]:
+                picture[:, 0] = 200  # a thin line between them
+            yield np.hstack(pictures)
         for env, predict, memory in cars:
             damping, memory[1] = predict(memory[0][None], memory[1], np.array([step == 0]), deterministic=True)
             memory[0] = env.step(damping[0])[0]
@@ -124,6 +127,7 @@ def drive(
     environment: Mapping[str, Any],
     output: str | Path | None = None,
     seconds: float | None = None,
+    pace: float = 1.0,
     speed: float | None = None,
     bandwidth: float | None = None,
     seed: int = 0,
@@ -135,7 +139,9 @@ def drive(
         drivers: title and driver.
         environment: parameters of `roadgym.env.QuarterCarEnv`.
         output: a film to write, .mp4 or .gif; None opens a window.
-        seconds: of film, each of 60 control intervals; by default 10 of a file, and a window until it is closed.
+        seconds: of film, at 60 pictures a second; by default 10 of a file, and a window until it is closed.
+        pace: seconds of the drive in one of the film, 1, as nearly as it can be where a picture shows whole control intervals;
+            intervals longer than that are a picture each.
         speed, bandwidth: operating point, m/s and 1; by default drawn from the environment's range.
         seed: fixes the road, not negative.
         report: called as ``report(what, frames done, frames in all)`` while a film is written.
@@ -149,7 +155,8 @@ def drive(
     limit = None if seconds is None else max(1, round(positive("seconds", seconds) * FRAMES_PER_SECOND))
     point = {name: value for name, value in (("speed", speed), ("bandwidth", bandwidth)) if value is not None}
     whole("seed", seed, low=0)
-    film = frames(drivers, environment, seed=seed, options=point)
+    every = max(1, round(positive("pace", pace) / (FRAMES_PER_SECOND * make_task(**environment).control_interval)))
+    film = frames(drivers, environment, seed=seed, options=point, every=every)
     if path is None:
         return show(itertools.islice(film, limit))
     total = limit or round(SECONDS * FRAMES_PER_SECOND)
@@ -240,6 +247,7 @@ def write_gif(path: Path, film: Iterator[Frame], total: int) -> None:
             rendering.GROUND,
             rendering.REWARD,
             rendering.REWARD_AREA,
+            rendering.FORCE,
         ):
             shades = np.linspace(0, 1, 2 + np.abs(np.array(stroke) - below).max() // 26)  # 1/10 of black to white, at most
             colours += [tuple(np.rint(below + (stroke - below) * shade).astype(int).tolist()) for shade in shades]

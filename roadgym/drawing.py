@@ -1,4 +1,4 @@
-"""What cars are drawn with, and how one of one mass looks; `roadgym.cars.Car.draw` chooses."""
+"""What cars are drawn with, and how those of one and of two masses look; `roadgym.cars.Car.draw` chooses."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ Colour = tuple[int, int, int]
 
 PAPER, INK, GREY, BODY = (255, 255, 255), (45, 45, 45), (110, 110, 110), (0, 114, 178)
 WHEEL, HUB, BRIDGE = 22.0, 23.5, 52.0  # the wheel's radius; its hub and the bridge under the spring, above the road; pixels
+TYRE_HUB, TYRE_BRIDGE = 31.0, 76.0  # the same above the foot of a wheel with a tyre
+TYRE_PRESSED, BULGE = 10.0, 0.35  # how far it is pressed at rest at most, pixels; how much broader it gets, over that
 GAP, BODY_WIDTH, BODY_HEIGHT = 140.0, 148.0, 46.0  # from bridge to body at rest; the body's size
 
 
@@ -32,6 +34,7 @@ class Canvas:
             constant distance above.
         damper: colour of the damper.
         rolled: angle that the wheel has turned, rad.
+        metre: of height, pixels.
     """
 
     surface: pygame.Surface
@@ -41,6 +44,7 @@ class Canvas:
     heights: Sequence[float]
     damper: Colour
     rolled: float
+    metre: float
 
     def box(self, colour: Colour, left: float, top: float, width: float, height: float, radius: float = 0.0) -> None:
         """A rectangle with round corners."""
@@ -65,20 +69,56 @@ class Canvas:
 
 def body_on_wheel(canvas: Canvas, foot: float) -> None:
     """A body on a spring and a damper, on a wheel whose lowest point is at ``foot``."""
+    bridge, hub = foot - BRIDGE, foot - HUB
+    body_on_bridge(canvas, bridge, strut=66)
+    canvas.box(INK, canvas.middle - 3, bridge, 6, BRIDGE - HUB)
+    canvas.box(INK, canvas.middle - 54, bridge - 3, 108, 6, 3)
+    canvas.disc(INK, canvas.middle, hub, WHEEL)
+    rim(canvas, hub, 13)
+
+
+def body_on_tyre(canvas: Canvas, pressed: float) -> None:
+    """A body on a spring and a damper, on a wheel with a tyre.
+
+    The tyre is round but for its foot, which is flat on the road. On the scale of the heights it is as far from being round as
+    it is pressed, up to `TYRE_PRESSED` at rest: on a smooth road, drawn large, it stretches a little before it leaves the road.
+
+    Args:
+        canvas: where; the heights are those of body and wheel.
+        pressed: how far its weight presses the tyre, m.
+    """
+    middle, bridge, hub = canvas.middle, canvas.heights[1] - TYRE_BRIDGE, canvas.heights[1] - TYRE_HUB
+    body_on_bridge(canvas, bridge, strut=52)
+    canvas.box(INK, middle - 3, bridge, 6, TYRE_BRIDGE - TYRE_HUB)
+    canvas.box(INK, middle - 54, bridge - 3, 108, 6, 3)
+    free = TYRE_HUB + min(pressed * canvas.metre, TYRE_PRESSED)
+    room = canvas.contact - hub
+    turn = np.linspace(0, 2 * np.pi, 181)
+    x, y = free * np.sin(turn), free * np.cos(turn)
+    loaded = canvas.contact - canvas.heights[1] < pressed * canvas.metre
+    if loaded:
+        y = np.minimum(np.where(y > 0, max(room / free, 1.0), 1.0) * y, room)
+        x *= 1 + BULGE * max(1 - room / free, 0.0) * (1 + np.cos(turn))
+    outline = np.rint(canvas.scale * np.stack([middle + x, hub + y], axis=1)).tolist()
+    pygame.draw.polygon(canvas.surface, INK, outline)
+    rim(canvas, hub, 19)
+
+
+def body_on_bridge(canvas: Canvas, bridge: float, *, strut: float) -> None:
+    """A body on a spring and a damper, which stand on a bridge; the lower tube of the damper is ``strut`` high."""
     middle, bottom = canvas.middle, canvas.heights[0] - BRIDGE - GAP
-    bridge = foot - BRIDGE
     canvas.spring(middle - 30, bottom, bridge)
     canvas.box(GREY, middle + 28, bottom, 5, bridge - bottom)
-    canvas.box(INK, middle + 18, bridge - 66, 25, 66, 4)
-    canvas.box(canvas.damper, middle + 20, bridge - 64, 21, 62, 2.5)
+    canvas.box(INK, middle + 18, bridge - strut, 25, strut, 4)
+    canvas.box(canvas.damper, middle + 20, bridge - strut + 2, 21, strut - 4, 2.5)
     canvas.box(BODY, middle - BODY_WIDTH / 2, bottom - BODY_HEIGHT, BODY_WIDTH, BODY_HEIGHT, 10)
     canvas.box(PAPER, middle - BODY_WIDTH / 2 + 8, bottom - BODY_HEIGHT / 2 - 1, 16, 2)
     canvas.box(PAPER, middle + BODY_WIDTH / 2 - 24, bottom - BODY_HEIGHT / 2 - 1, 16, 2)
 
-    canvas.box(INK, middle - 3, bridge, 6, BRIDGE - HUB)
-    canvas.box(INK, middle - 54, bridge - 3, 108, 6, 3)
-    hub = foot - HUB
-    canvas.disc(INK, middle, hub, WHEEL)
-    canvas.disc((214, 214, 214), middle, hub, 13)
-    canvas.disc(INK, middle + 9 * math.cos(canvas.rolled), hub + 9 * math.sin(canvas.rolled), 2)
+
+def rim(canvas: Canvas, hub: float, radius: float) -> None:
+    """The rim of a wheel about its hub, and a spot that shows how it turns."""
+    middle, spot = canvas.middle, radius - 4
+    canvas.disc((214, 214, 214), middle, hub, radius)
+    canvas.disc(INK, middle + spot * math.cos(canvas.rolled), hub + spot * math.sin(canvas.rolled), 2)
     canvas.disc(INK, middle, hub, 4)

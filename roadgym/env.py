@@ -73,8 +73,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
       stationary law and the car at rest, at zero or, of two masses, standing on the road; or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
     - Rendering: with "rgb_array" `render` returns the picture, uint8, shape (640, 800, 3); with "human" a window shows it at
-      every reset and step, 60 of them a second. `roadgym.rendering` says what is in it; its title is ``render_title``. This
-      needs pygame, of the extra ``render``.
+      every reset and step, 60 of them a second. `roadgym.rendering` says what is in it; its title is ``render_title``, and who
+      draws every n-th step alone says so by ``render_every``. This needs pygame, of the extra ``render``.
 
     The parameters are those of `roadgym.task.make_task`. The noise depends on the seed, the number of resets since it was given
     and the step alone, so two controllers with the same seed meet the same road.
@@ -92,6 +92,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.task = make_task(**parameters)
         self.render_mode = render_mode
         self.render_title = "Quarter car"
+        self.render_every = 1
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.signal_names = self.task.signals
@@ -166,7 +167,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
 
         if self._picture is None:
             self._picture = Picture(self.task)
-        pixels = self._picture.draw(self.history, self.render_title)
+        pixels = self._picture.draw(self.history, self.render_title, self.render_every)
         if self.render_mode == "rgb_array":
             return pixels.copy()
         if self._window is None:

@@ -7,6 +7,9 @@ same upright line, end the traces over time of the body, of the road under the w
 Heights are in standard deviations of the road, on the same scale for body, road and traces. It zooms out, and slowly in again,
 so that everything fits: the body never leaves the picture. Each control interval is one frame, so at 60 frames a second the
 drive runs ``60 * control_interval`` times as fast as real time, which the picture states.
+
+A car in SI units is told in them, see `roadgym.gauges`: heights are in mm, and where the car has a tyre, a trace has the force
+of the wheel on the road. It is red below zero, where a real wheel leaves the road; the tyre of the plant pulls it back.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .drawing import BODY, BODY_HEIGHT, BODY_WIDTH, BRIDGE, GAP, GREY, INK, PAPER, WHEEL, Canvas, Colour
+from .gauges import FRAMES_PER_SECOND, LOAD, ROAD_REACH, STEPS_SHOWN, Gauges, signals_now, signed
 from .installation import needs
 from .plant import Interval, Plant
 from .task import Task
@@ -31,21 +35,17 @@ with needs("render"):
 
 Floats = npt.NDArray[np.floating[Any]]
 
-FRAMES_PER_SECOND = 60
 WIDTH, HEIGHT = 800, 640  # of the picture, pixels; multiples of 16, as video encoders like them
 
 # Okabe and Ito's colours, told apart by readers with any colour vision
 HAIRLINE, ROAD, GROUND = (225, 225, 225), (70, 66, 60), (236, 232, 224)
 REWARD, REWARD_AREA = (0, 158, 115), (204, 236, 227)
+FORCE = (150, 70, 120)  # of the wheel on the road
 SOFT, MEDIUM, FIRM = (240, 228, 66), (230, 159, 0), (213, 94, 0)  # the damper at D_min, in the middle, at D_max
 
 # places in the picture, pixels from the left and from the top
 LEFT, NOW, COLUMN = 48, 564, 676  # where road and traces begin and end, the wheel standing at the end; the column of figures
-STEPS_SHOWN = 258  # control intervals in the traces, 2 pixels each
-PIXELS_PER_RADIAN = 40.0  # of the road's angle wavenumber * distance
-ROAD_ZERO, ROAD_REACH, GROUND_BOTTOM = 352, 56, 432  # mean level, highest level above it, where the ground ends
-TRACE_ZERO, TRACE_REACH = 508, 44
-REWARD_ZERO, REWARD_REACH = 568, 40
+ROAD_ZERO, GROUND_BOTTOM = 352, 432  # mean level, where the ground ends
 BAR_TOP, BAR_WIDTH, BAR_HEIGHT = 124, 14, 136  # scale of the damping ratio
 CAR_LEFT, CAR_WIDTH = NOW - 80, 160  # the columns that the car may cover
 CAR_HEIGHT = int(BODY_HEIGHT + GAP + BRIDGE) + 2 * ROAD_REACH + 2  # the most rows that it can cover
@@ -67,23 +67,29 @@ class History:
             slow that they would lie within a quarter of a pixel.
         heights: those of the car's masses now, the body's first.
         trace: height of the body, level and reward at the ends of the last steps, shape (steps, 3); no reward (0) at the start.
+        signals: those that are told in figures, now, in their units.
+        loads: the force on the road at the ends of the last steps, less its mean, N, shape (steps,); where it has no trace, 0.
         damping: D that the last step applied.
         steps: since the episode began.
         cost: sum of minus the rewards since then.
+        lifted: after how many of these steps the force on the road was none.
         limit: largest height on the scale.
         reward_limit: largest cost of a step on its scale.
+        load_limit: largest force, above or below its mean, on its scale; at least the mean itself.
     """
 
     def __init__(self, plant: Plant, car: int = 0) -> None:
-        self._plant, self._car = plant, car
+        self._plant, self._car, self._gauges = plant, car, Gauges.of(plant.task)
         motion = plant.task.car.motion
         heights = [state for state, height in zip(motion.states, motion.follows, strict=True) if height]
         self._heights = heights or list(motion.states[:1])
         self.path = collections.deque([(0.0, self._now("level"))], maxlen=POINTS)
         self.trace: Floats = np.zeros((0, 3))
+        self.signals: dict[str, float] = {}
+        self.loads: Floats = np.zeros(0)
         self.damping = plant.task.damping_range[0]
-        self.steps, self.cost = 0, 0.0
-        self.limit, self.reward_limit = TYPICAL, 1.0
+        self.steps, self.cost, self.lifted = 0, 0.0, 0
+        self.limit, self.reward_limit, self.load_limit = TYPICAL, 1.0, 0.0
         self._remember(0.0)
 
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
@@ -94,18 +100,20 @@ class History:
 
     def note(self, interval: Interval, angle: npt.NDArray[Any], level: npt.NDArray[Any]) -> None:
         """Remember what `Plant.trace` tells of a step in which the car went on with its episode."""
+        scale = self._gauges.pixels_per_radian
         reward, self.damping = float(interval.reward[self._car]), float(interval.damping[self._car])
         for turn, end in zip(angle[:, self._car].tolist(), level[:, self._car].tolist(), strict=True):
             here = self.path[-1][0] + turn
-            if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / PIXELS_PER_RADIAN:
+            if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / scale:
                 self.path.pop()
             self.path.append((here, end))
-        while len(self.path) > 2 and self.path[1][0] < self.path[-1][0] - (NOW - LEFT) / PIXELS_PER_RADIAN:
+        while len(self.path) > 2 and self.path[1][0] < self.path[-1][0] - (NOW - LEFT) / scale:
             self.path.popleft()
 
         self.steps += 1
         self.cost -= reward
         self._remember(reward)
+        self.lifted += self.off_the_road
 
     def _now(self, name: str) -> float:
         return float(self._plant.row(name)[self._car])
@@ -113,10 +121,19 @@ class History:
     def _remember(self, reward: float) -> None:
         self.heights = [self._now(name) for name in self._heights]
         level = self._now("level")
-        self.trace = np.vstack([self.trace, (self.heights[0], level, reward)])[-STEPS_SHOWN - 1 :]
+        shown, gauges = STEPS_SHOWN + 1, self._gauges
+        self.trace = np.vstack([self.trace, (self.heights[0], level, reward)])[-shown:]
+        self.signals = signals_now(self._plant, self._car, gauges.signals, self.damping) if gauges.signals else {}
+        self.loads = np.append(self.loads, -self.signals[LOAD] if gauges.load else 0.0)[-shown:]
         highest = max(abs(level) for _, level in self.path)
         self.limit = max(TYPICAL, highest, float(np.abs(self.trace[:, :2]).max()), ZOOM * self.limit)
         self.reward_limit = max(1.0, -float(self.trace[:, 2].min()), ZOOM * self.reward_limit)
+        self.load_limit = max(gauges.static_load, float(np.abs(self.loads).max()), ZOOM * self.load_limit)
+
+    @property
+    def off_the_road(self) -> bool:
+        """Is the force of the wheel on the road none, or does the tyre of the plant pull?"""
+        return self._gauges.load is not None and float(self.loads[-1]) <= -self._gauges.static_load
 
     @property
     def speed(self) -> float:
@@ -131,7 +148,7 @@ class History:
 
 def share_scales(histories: Sequence[History]) -> None:
     """Give pictures that stand side by side the same scales."""
-    for name in ("limit", "reward_limit"):
+    for name in ("limit", "reward_limit", "load_limit"):
         largest = max(getattr(history, name) for history in histories)
         for history in histories:
             setattr(history, name, largest)
@@ -166,11 +183,7 @@ class Picture:
     """Draws the history of a car on ``task``."""
 
     def __init__(self, task: Task) -> None:
-        self.task = task
-        symbols = {name: f"{signal.symbol}²" for name, signal in task.car.motion.signals.items()}
-        self._cost = " + ".join(
-            symbols[name] if weight == 1 else f"{weight:g} {symbols[name]}" for name, weight in task.reward_by_name.items()
-        )
+        self.task, self.gauges = task, Gauges.of(task)
         self._fonts: dict[tuple[int, bool], pygame.font.Font] = {}
         self._pixels = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)
         self._page = pygame.image.frombuffer(self._pixels.data, (WIDTH, HEIGHT), "RGB")  # the same memory, for pygame's drawing
@@ -179,15 +192,21 @@ class Picture:
         self._draw_background()
         self._background = self._pixels.copy()
 
-    def draw(self, history: History, title: str) -> npt.NDArray[np.uint8]:
-        """The picture now as red, green and blue, shape (HEIGHT, WIDTH, 3); the next one replaces it."""
+    def draw(self, history: History, title: str, every: int = 1) -> npt.NDArray[np.uint8]:
+        """The picture now as red, green and blue, shape (HEIGHT, WIDTH, 3); the next one replaces it.
+
+        Args:
+            history: of the drive.
+            title: above it.
+            every: how many control intervals pass from one picture to the next, which it tells.
+        """
         self._pixels[:] = self._background
         self._draw_scales(history)
         self._draw_road(history)
         self._draw_traces(history)
         self._draw_car(history)
         self._draw_damping(history)
-        self._draw_text(history, title)
+        self._draw_text(history, title, every)
         return self._pixels
 
     # strokes on the page
@@ -244,9 +263,14 @@ class Picture:
     def _draw_background(self) -> None:
         """What never changes."""
         task = self.task
-        for y in (ROAD_ZERO, TRACE_ZERO, REWARD_ZERO):
-            pygame.draw.line(self._page, HAIRLINE, (LEFT, y), (NOW, y))
-            self._text("0", LEFT - 6, y, 11, GREY, align=1)
+        for y, zero in (
+            (ROAD_ZERO, self.gauges.zero),
+            (self.gauges.heights.zero, self.gauges.zero),
+            (self.gauges.reward.zero, "0"),
+        ):
+            self._tick(y, zero)
+        if self.gauges.load:
+            self._tick(self.gauges.load.zero, self.gauges.load_tick)
         span = STEPS_SHOWN * task.control_interval
         spacing = nice(span / 4)
         for k in range(math.floor(span / spacing) + 1):
@@ -263,36 +287,45 @@ class Picture:
         self._text("rest", NOW - half - 5, middle - 9, 11, GREY, align=1)
         low, high = task.damping_range
         self._text("damping D", COLUMN, 84, 12, GREY)
-        self._text(f"{high:g} firm", COLUMN, BAR_TOP - 17, 11, GREY)
-        self._text(f"{low:g} soft", COLUMN, BAR_TOP + BAR_HEIGHT + 16, 11, GREY)
+        self._text(f"{self.gauges.damping(high)} firm", COLUMN, BAR_TOP - 17, 11, GREY)
+        self._text(f"{self.gauges.damping(low)} soft", COLUMN, BAR_TOP + BAR_HEIGHT + 16, 11, GREY)
         for row in range(BAR_HEIGHT):
             colour = damper_colour(1 - row / (BAR_HEIGHT - 1))
             pygame.draw.line(self._page, colour, (COLUMN, BAR_TOP + row), (COLUMN + BAR_WIDTH - 1, BAR_TOP + row))
 
+    def _tick(self, y: float, name: str) -> None:
+        """A line across a trace, and what it stands for."""
+        pygame.draw.line(self._page, HAIRLINE, (LEFT, round(y)), (NOW, round(y)))
+        self._text(name, LEFT - 6, round(y), 11, GREY, align=1)
+
     def _draw_scales(self, history: History) -> None:
-        tick = nice(0.9 * history.limit)
-        for sign, name in ((1, f"{tick:g} σ"), (-1, f"−{tick:g} σ")):
-            for zero, reach in ((ROAD_ZERO, ROAD_REACH), (TRACE_ZERO, TRACE_REACH)):
-                y = round(zero - sign * tick * reach / history.limit)
-                pygame.draw.line(self._page, HAIRLINE, (LEFT, y), (NOW, y))
-                self._text(name, LEFT - 6, y, 11, GREY, align=1)
+        gauges = self.gauges
+        tick = nice(0.9 * history.limit * gauges.height)
+        for sign, name in ((1, gauges.tick_text(tick)), (-1, gauges.tick_text(-tick))):
+            for zero, reach in ((ROAD_ZERO, ROAD_REACH), (gauges.heights.zero, gauges.heights.reach)):
+                self._tick(zero - sign * tick / gauges.height * reach / history.limit, name)
         tick = nice(0.9 * history.reward_limit)
-        y = round(REWARD_ZERO + tick * REWARD_REACH / history.reward_limit)
-        pygame.draw.line(self._page, HAIRLINE, (LEFT, y), (NOW, y))
-        self._text(f"−{tick:g}", LEFT - 6, y, 11, GREY, align=1)
+        self._tick(gauges.reward.zero + tick * gauges.reward.reach / history.reward_limit, f"−{tick:g}")
+        if gauges.load:
+            below = gauges.static_load * gauges.load.reach / history.load_limit
+            far = below > 14  # from the line of the mean
+            self._tick(gauges.load.zero + below, "0" if far else "")
+            self._text("lift-off" if far else "", NOW + 18, gauges.load.zero + below, 11, FIRM)
 
     def _draw_road(self, history: History) -> None:
         """The road as far as the car knows it, with its milestones."""
         # where noise drove the car back, it knows some road ahead
         angle, level = np.array(sorted(history.path)).T
         here = history.path[-1][0]
-        x = NOW + (angle - here) * PIXELS_PER_RADIAN
+        x = NOW + (angle - here) * self.gauges.pixels_per_radian
         y = ROAD_ZERO - level * ROAD_REACH / history.limit
         begin, end = max(x[0], LEFT), min(x[-1], COLUMN - 8)
         shown = np.concatenate([[begin], x[(x > begin) & (x < end)], [end]])
         self._curve(shown, np.interp(shown, x, y), 2.2, ROAD, GROUND, GROUND_BOTTOM)
-        metre = PIXELS_PER_RADIAN * self.task.road.wavenumber
-        for row in range(REWARD_ZERO + REWARD_REACH, math.ceil(np.interp(NOW, x, y)) + 2, -4):  # the line "now"
+        metre = self.gauges.pixels_per_radian * self.task.road.wavenumber
+        for row in range(
+            self.gauges.reward.zero + self.gauges.reward.reach, math.ceil(np.interp(NOW, x, y)) + 2, -4
+        ):  # the line "now"
             pygame.draw.line(self._page, HAIRLINE, (NOW, row), (NOW, row - 2))
         if end < NOW + 1:
             for row, text in enumerate(("the road ahead", "is not known yet")):
@@ -306,10 +339,17 @@ class Picture:
 
     def _draw_traces(self, history: History) -> None:
         trace = history.trace
+        gauges = self.gauges
         x = NOW - (NOW - LEFT) / STEPS_SHOWN * np.arange(len(trace))[::-1]
-        reward = REWARD_ZERO - trace[:, 2] * REWARD_REACH / history.reward_limit
-        height = TRACE_ZERO - trace[:, :2] * TRACE_REACH / history.limit
-        self._curve(x, reward, 1.5, REWARD, REWARD_AREA, REWARD_ZERO)
+        reward = gauges.reward.zero - trace[:, 2] * gauges.reward.reach / history.reward_limit
+        height = gauges.heights.zero - trace[:, :2] * gauges.heights.reach / history.limit
+        self._curve(x, reward, 1.5, REWARD, REWARD_AREA, gauges.reward.zero)
+        if gauges.load:
+            force = gauges.load.zero - history.loads * gauges.load.reach / history.load_limit
+            none = gauges.load.zero + gauges.static_load * gauges.load.reach / history.load_limit
+            self._curve(x, np.maximum(force, none), 1.0, FIRM, FIRM, round(none))
+            self._curve(x, force, 1.5, FORCE)
+            self._dot(NOW, force[-1], 3.0, FORCE)
         self._curve(x, height[:, 1], 1.8, ROAD)
         self._curve(x, height[:, 0], 1.8, BODY)
         self._dot(NOW, reward[-1], 3.0, REWARD)
@@ -329,7 +369,8 @@ class Picture:
             contact=contact - top,
             heights=[body - top for body in bodies],
             damper=damper_colour(self._share(history)),
-            rolled=history.path[-1][0] * PIXELS_PER_RADIAN / WHEEL,
+            rolled=history.path[-1][0] * self.gauges.pixels_per_radian / WHEEL,
+            metre=height / math.sqrt(self.task.road.variance),
         )
         canvas.surface.fill((0, 0, 0, 0))
         self.task.car.draw(canvas)
@@ -349,32 +390,24 @@ class Picture:
         pygame.draw.polygon(self._page, INK, [(x, y), (x + 7, y - 5), (x + 7, y + 5)])
         self._text(f"{history.damping:.2f}", x + 12, y, 13, bold=True)
 
-    def _draw_text(self, history: History, title: str) -> None:
-        task, trace = self.task, history.trace
+    def _draw_text(self, history: History, title: str, every: int) -> None:
+        gauges, (body, road, reward) = self.gauges, history.trace[-1]
         self._text(title, LEFT, 24, 20, bold=True)
         self._text(f"{history.cost / history.steps:.3f}" if history.steps else "–", WIDTH - 24, 24, 20, bold=True, align=1)
-        metre = 1 / task.road.wavenumber
-        rows = {
-            "mean speed" if task.speed_noise else "speed": f"{history.speed * task.car.natural_frequency * metre:.3g} m/s",
-            "frequency ratio ν": f"{history.speed:.3g}",
-            **({"bandwidth δ": f"{history.bandwidth:.3g}"} if history.bandwidth else {}),
-            "σ of the road": f"{math.sqrt(task.road.variance):.3g} m",
-            "cost": self._cost,
-            "driven": f"{history.steps * task.control_interval:.1f} s, {history.path[-1][0] * metre:.1f} m",
-            "shown": f"{FRAMES_PER_SECOND} steps/s, {FRAMES_PER_SECOND * task.control_interval:.3g} × real time",
-        }
-        for row, (name, value) in enumerate(rows.items()):
+        for row, (name, value) in enumerate(gauges.readings(history, every).items()):
             self._text(name, LEFT, 84 + 20 * row, 12, GREY)
             self._text(value, LEFT + 122, 84 + 20 * row, 12)
-        figures = (
-            (TRACE_ZERO - 10, BODY, "body y", trace[-1, 0], " σ"),
-            (TRACE_ZERO + 10, ROAD, "road z", trace[-1, 1], " σ"),
-            (REWARD_ZERO + REWARD_REACH // 2, REWARD, "reward", trace[-1, 2], ""),
-        )
-        for y, colour, name, value, unit in figures:
+        figures = [
+            (gauges.heights.zero - 10, BODY, "body y", gauges.height_text(body)),
+            (gauges.heights.zero + 10, ROAD, "road z", gauges.height_text(road)),
+            (gauges.reward.zero + gauges.reward.reach // 2, REWARD, "reward", signed(reward, 2)),
+        ]
+        if gauges.load:
+            colour, name = (FIRM, "lift-off") if history.off_the_road else (FORCE, "wheel load")
+            figures.append((gauges.load.zero, colour, name, gauges.load_text(history.loads[-1])))
+        for y, colour, name, value in figures:
             self._text(name, NOW + 18, y, 13, colour)
-            figure = f"{round(value, 2) + 0.0:.2f}{unit}".replace("-", "−")  # without the sign of a zero
-            self._text(figure, WIDTH - 24, y, 13, colour, bold=True, align=1)
+            self._text(value, WIDTH - 24, y, 13, colour, bold=True, align=1)
 
 
 class Window:

@@ -24,6 +24,32 @@ needs_browser = pytest.mark.skipif(
 )
 NODE = shutil.which("node")
 
+# what a user sees, and how one moves the controls
+SEE = """
+const see = () => {
+  const all = (selector, pair) => Object.fromEntries([...document.querySelectorAll(selector)].map(pair));
+  const numbers = all("[data-number]", (e) => [e.dataset.number, e.textContent]);
+  const inputs = all("input[type=number]", (e) => [e.name, Number(e.value)]);
+  const chosen = all("input[type=radio]:checked", (e) => [e.name, e.value]);
+  const visible = (id) => document.getElementById(id).getBoundingClientRect().height > 0;
+  return {numbers, inputs, ...chosen, python: document.getElementById("python").textContent,
+          notice: visible("notice") ? document.getElementById("notice").textContent : "",
+          plots: [...document.querySelectorAll("svg.plot")].filter((svg) => visible(svg.id)).map((svg) => svg.id),
+          controls: [...document.querySelectorAll(".control")].map((e) => e.dataset.name).filter((name) => visible(name)),
+          disabled: [...document.querySelectorAll("input:disabled")].map((e) => e.value),
+          summary: document.getElementById("summary").textContent, drawn: document.getElementById("cost-over-speed").innerHTML};
+};
+const move = (name, type, value) => {
+  const element = [...document.getElementsByName(name)].find((e) => e.type === type && (type !== "radio" || e.value === value));
+  if (type === "radio") element.click(); else {
+    element.value = value;
+    element.dispatchEvent(new Event("input", {bubbles: true}));
+    element.dispatchEvent(new Event("change", {bubbles: true}));
+  }
+  return see();
+};
+"""
+
 
 def browse(folder, script, view=None, address="", width=1280):
     """What ``script``, the body of an asynchronous function in the page, returns; the page is ``width`` pixels wide, in a
@@ -64,11 +90,18 @@ def evaluate(folder, script):
     if NODE is None:
         return browse(folder, f"const evaluate = window.roadgym.evaluate; {script}")
     path = folder / "script.js"
+    theory = "".join(explorer.TEMPLATE.with_name(name).read_text(encoding="utf-8") for name in ("theory.js", "two_mass.js"))
+    known = {
+        "plants": explorer.plants(),
+        "roads": explorer.roads(),
+        "search": explorer.SEARCH,
+        "iso": explorer.iso_classes(),
+    }
     path.write_text(
-        f"""const theory = require({str(explorer.TEMPLATE.with_name("theory.js"))!r});
-        const known = {json.dumps({"plants": explorer.plants(), "roads": explorer.roads(), "search": explorer.SEARCH})};
+        f"""{theory}
+        const known = {json.dumps(known)};
         const work = (evaluate) => {{ {script} }};
-        const result = work((point) => theory.evaluate(point, known));
+        const result = work((point) => (point.car === "two_mass" ? evaluateTwoMass : evaluate)(point, known));
         console.log(JSON.stringify(result, (key, value) => (value === Infinity ? "Infinity" : value)));""",
         encoding="utf-8",
     )

@@ -53,9 +53,14 @@ def test_plants_are_those_that_are_defined():
         ({"road": 3}, r"road must be one of harmonic, .*got 3"),
         ({"speed_noise": "pink"}, r"speed_noise must be one of none, white, .*'pink'"),
         ({"road": "gaussian", "speed_noise": "white"}, r"white speed noise is defined on the harmonic road only"),
-        ({"speed": 1.0}, r"name in the view must be one of road, .*'speed'"),
+        ({"speed": 1.0}, r"name in the view must be one of car, road, .*'speed'"),
         ({"damping_min": 0.5, "damping_max": 0.2}, r"damping_min must not be above damping_max, 0.2, got 0.5"),
         ({"road": "first_order", "weights": {"acceleration": 1}}, r"mean square of acceleration is infinite"),
+        ({"car": "lorry"}, r"car must be one of one_mass, two_mass, savaresi, .*'lorry'"),
+        ({"car": "savaresi", "road": "gaussian"}, r"road must be one of iso_a, .*'gaussian'"),
+        ({"car": "savaresi", "speed_noise": "white"}, r"speed_noise must be one of none, got 'white'"),
+        ({"car": "two_mass", "tyre_rate": 5.0}, r"tyre_rate must be from 200 to 1e\+06, got 5"),
+        ({"car": "two_mass", "weights": {"grip": 1}}, r"grip"),
     ],
 )
 def test_bad_view_is_refused(view, message, tmp_path):
@@ -103,5 +108,10 @@ def test_command(tmp_path, capsys):
     data = json.loads(re.search(r'id="data">(.*?)</script>', path.read_text(encoding="utf-8"))[1])
     given = {"road": "harmonic", "speed_noise": "white", "damping": 0.3, "intensity": 0.5, "weights": {"velocity": 2.0}}
     assert data["view"] == explorer.make_view(given)
+    arguments = "--car golden_car --road iso_e --value kilometres_per_hour 80 --weights wheel_load=2"
+    assert main(["explore", "--output", str(path), *arguments.split()]) == 0
+    data = json.loads(re.search(r'id="data">(.*?)</script>', path.read_text(encoding="utf-8"))[1])
+    assert (data["view"]["car"], data["view"]["iso_class"], data["view"]["tyre_rate"]) == ("two_mass", "E", 653.0)
+    assert data["view"]["si_weights"]["si_wheel_load"] == 2.0
     assert main(["explore", "--output", str(path), "--value", "damping", "9"]) == 2
     assert "damping must be from" in capsys.readouterr().err

@@ -19,7 +19,8 @@ from plants import EVERY_PLANT, plant_name
 import roadgym
 from roadgym import ParameterError, rendering
 from roadgym.env import QuarterCarEnv
-from roadgym.rendering import BODY, GROUND, LEFT, NOW, PIXELS_PER_RADIAN, ROAD_REACH, ROAD_ZERO
+from roadgym.gauges import PIXELS_PER_RADIAN
+from roadgym.rendering import BODY, GROUND, LEFT, NOW, ROAD_REACH, ROAD_ZERO
 from roadgym.roads import make_road
 
 ID = roadgym.ENVIRONMENT_ID

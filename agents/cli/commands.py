@@ -335,6 +335,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
             environment=environment,
             output=chosen.output,
             seconds=chosen.seconds,
+            pace=chosen.pace,
             speed=chosen.speed,
             bandwidth=chosen.bandwidth,
             seed=chosen.seed,

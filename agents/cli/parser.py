@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from roadgym import ROADS, SPEED_NOISES, __version__
+from roadgym import CARS, ROADS, SPEED_NOISES, __version__
 
 from ..benchmark import CASES
 from ..names import CONTROLLERS_SHOWN
@@ -111,8 +111,13 @@ def make_parser() -> argparse.ArgumentParser:
     drive.add_argument(
         "--output", type=nonempty, metavar="FILE", help="write a film, .mp4 or .gif, instead of opening a window"
     )
+    drive.add_argument("--seconds", type=float, metavar="S", help="of film (10; a window until it is closed)")
     drive.add_argument(
-        "--seconds", type=float, metavar="S", help="of film, each of 60 control intervals (10; a window until it is closed)"
+        "--pace",
+        type=float,
+        default=1.0,
+        metavar="P",
+        help="0.3 for slow motion: seconds of the drive in one of the film, where control intervals allow it (%(default)s)",
     )
     drive.add_argument("--speed", type=float, metavar="V", help="speed, m/s (drawn from the environment's range)")
     drive.add_argument("--bandwidth", type=float, metavar="DELTA", help="road bandwidth (drawn from the environment's range)")
@@ -198,7 +203,8 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym explore --output explorer.html",
     )
     explore.add_argument("--output", type=nonempty, required=True, metavar="FILE", help="the page")
-    explore.add_argument("--road", default="multiplicative", help=f"{', '.join(ROADS)} (%(default)s)")
+    explore.add_argument("--car", default="one_mass", help=f"{', '.join(CARS)}, or a named one such as savaresi (%(default)s)")
+    explore.add_argument("--road", help=f"{', '.join(ROADS)}; of two masses iso_a to iso_h (multiplicative, or iso_c)")
     explore.add_argument("--speed-noise", default="none", help=f"none, {', '.join(SPEED_NOISES)} (%(default)s)")
     explore.add_argument(
         "--value",
@@ -206,9 +212,12 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar=("NAME", "NUMBER"),
-        help="first damping, frequency_ratio, bandwidth, shape, intensity, corner_frequency, damping_min, damping_max",
+        help="first damping, frequency_ratio, bandwidth, shape, intensity, corner_frequency, damping_min, damping_max; "
+        "of two masses sprung_mass, unsprung_mass, spring_rate, tyre_rate, kilometres_per_hour",
     )
-    explore.add_argument("--weights", type=weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1)")
+    explore.add_argument(
+        "--weights", type=weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1; acceleration=1)"
+    )
 
     errata = _command(
         commands,

@@ -112,8 +112,9 @@ def run_explore(chosen: argparse.Namespace) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"--value gives {name!r} twice")
-    view = {"road": chosen.road, "speed_noise": chosen.speed_noise, **dict(chosen.value)}
-    print(explorer.write(chosen.output, view | ({"weights": chosen.weights} if chosen.weights else {})))
+    given = {"road": chosen.road, "weights": chosen.weights}
+    view = {"car": chosen.car, "speed_noise": chosen.speed_noise, **dict(chosen.value)}
+    print(explorer.write(chosen.output, view | {name: value for name, value in given.items() if value}))
 
 
 def run_errata(chosen: argparse.Namespace) -> None:

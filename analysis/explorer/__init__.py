@@ -1,18 +1,20 @@
 """The interactive page of the closed forms: one HTML file that computes everything itself, with neither network nor libraries.
 
-`page.html` takes in `style.css` and, in this order, `theory.js` (the closed forms alone, which node runs too), `words.js`
-(numbers and sentences), `plots.js` (the drawings) and `page.js` (the state and the controls).
+`page.html` takes in `style.css` and, in this order, `theory.js` and `two_mass.js` (theory alone, which node runs too),
+`words.js` (numbers and sentences), `plots.js` and `two_mass_plots.js` (drawings) and `page.js` (the state and the controls).
 
 The page evaluates the same formulas as `analysis.response`, `analysis.optimum`, `analysis.roads`,
-`analysis.paper.rotating_frame` and `analysis.paper.stability`, in units of w1 and of the road's standard deviation. Python
-tells it the ranges of its parameters, the plants that are defined, what roads without formulas of their own declare of
-themselves (`roads`) and the view to begin with, but no result.
+`analysis.paper.rotating_frame` and `analysis.paper.stability`, in units of w1 and of the road's standard deviation; and what
+`roadgym.linear` says of the car of two masses on roads of ISO 8608, in SI units. Python tells it the ranges of its parameters,
+the plants that are defined, what roads without formulas of their own declare of themselves (`roads`), the named cars of two
+masses (`cars`) and the view to begin with, but no result.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,11 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from roadgym import MEAN_SQUARES, ROADS, QuarterCar, __version__
+from roadgym import MEAN_SQUARES, ROADS, QuarterCar, TwoMassCar, __version__
+from roadgym.cars import make_car
+from roadgym.cars.two_mass import PRESETS
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, number, shown
 from roadgym.reward import check_weights, divergent_terms
-from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad, Road, make_road
+from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad, Road, iso8608, make_road
 from roadgym.speed import SPEED_NOISES, make_speed_noise
 
 from ..checks import one_of
@@ -33,11 +37,21 @@ from ..optimum import COARSE, DISPLACEMENT, FINE, ROUNDS
 from ..response import needs_simulation
 
 TEMPLATE = Path(__file__).with_name("page.html")
-PARTS = ("style.css", "theory.js", "words.js", "plots.js", "page.js")  # each has its name in a comment of the template
+PARTS = (
+    "style.css",
+    "theory.js",
+    "two_mass.js",
+    "words.js",
+    "plots.js",
+    "two_mass_plots.js",
+    "page.js",
+)  # each has its name in a comment of the template
 PLACE = "/*DATA*/"  # in the template
 SEARCH = {"coarse": COARSE, "fine": FINE, "rounds": ROUNDS}  # of the best damping
 OWN_FORMULAS = (FirstOrderRoad, GaussianRoad, MultiplicativeRoad)  # in `theory.js`, with controls for their parameters
 NO_NOISE = "none"
+ONE_MASS, TWO_MASS = "one_mass", "two_mass"
+PARAMETERS = ("sprung_mass", "unsprung_mass", "spring_rate", "tyre_rate")  # of the car of two masses
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,6 +83,11 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "corner_frequency": Range(0.01, 10.0, 1.0),  # w_g/w1
         "damping_min": Range(0.01, 2.0, 0.05),
         "damping_max": Range(0.01, 2.0, 1.0),
+        "sprung_mass": Range(1.0, 1000.0, 240.0),  # kg
+        "unsprung_mass": Range(0.1, 200.0, 36.0),  # kg
+        "spring_rate": Range(20.0, 100e3, 16e3),  # N/m
+        "tyre_rate": Range(200.0, 1e6, 160e3),  # N/m
+        "kilometres_per_hour": Range(5.0, 250.0, 72.0, steps=245, logarithmic=False),
     }
 )
 
@@ -78,8 +97,8 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
 
     Args:
         path: the file.
-        view: what the page shows at first, over the defaults: ``road`` and ``speed_noise`` by name, ``weights`` by mean square,
-            and any of `RANGES`.
+        view: what the page shows at first, over the defaults: ``car``, ``road`` and ``speed_noise`` by name, ``weights`` by
+            mean square, and any of `RANGES`. A car of two masses begins with its own masses, rates and range of damping.
 
     Returns:
         The file.
@@ -94,6 +113,9 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
         "mean_squares": MEAN_SQUARES,
         "roads": roads(),
         "plants": plants(),
+        "iso": iso_classes(),
+        "cars": cars(),
+        "signals": TwoMassCar().mean_squares,
         "ranges": {name: dataclasses.asdict(value) for name, value in RANGES.items()},
         "search": SEARCH,
         "view": make_view({} if view is None else view),
@@ -119,17 +141,15 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not isinstance(view, Mapping):
         raise ParameterError(f"view must be a mapping, got {shown(view)}")
-    known = ("road", "speed_noise", "weights", *RANGES)
+    known = ("car", "road", "speed_noise", "weights", *RANGES)
     for name in view:
         one_of("name in the view", name, known)
-    kind = view.get("road", "multiplicative")
-    if isinstance(kind, str) and kind not in ROADS:
-        make_road(kind)  # which an installed package may register
-    road = make_road(one_of("road", kind, roads()))
-    noise = make_speed_noise(one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE, *SPEED_NOISES)), road)
-    result: dict[str, Any] = {"road": road.kind, "speed_noise": noise.kind if noise else NO_NOISE}
+    car = one_of("car", view.get("car", ONE_MASS), (ONE_MASS, *cars()))
+    one, two = (view, {}) if car == ONE_MASS else ({}, view)
+    result = {"car": ONE_MASS if car == ONE_MASS else TWO_MASS, **one_mass_view(one), **two_mass_view(two)}
+    starts = {name: allowed.start for name, allowed in RANGES.items()} | cars().get(car, {})
     for name, allowed in RANGES.items():
-        value = number(name, view.get(name, allowed.start))
+        value = number(name, view.get(name, starts[name]))
         if not allowed.low <= value <= allowed.high:
             raise ParameterError(f"{name} must be from {allowed.low:g} to {allowed.high:g}, got {value:g}")
         result[name] = value
@@ -137,7 +157,45 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
         raise ParameterError(
             f"damping_min must not be above damping_max, {result['damping_max']:g}, got {result['damping_min']:g}"
         )
-    result["weights"] = check_weights(view.get("weights", DISPLACEMENT), QuarterCar(), road, noise)
+    return result
+
+
+def one_mass_view(view: Mapping[str, Any]) -> dict[str, Any]:
+    """Road, speed noise and weights of the car of one mass."""
+    kind = view.get("road", "multiplicative")
+    if isinstance(kind, str) and kind not in ROADS:
+        make_road(kind)  # which an installed package may register
+    road = make_road(one_of("road", kind, roads()))
+    noise = make_speed_noise(one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE, *SPEED_NOISES)), road)
+    weights = check_weights(view.get("weights", DISPLACEMENT), QuarterCar(), road, noise)
+    return {"road": road.kind, "speed_noise": noise.kind if noise else NO_NOISE, "weights": weights}
+
+
+def two_mass_view(view: Mapping[str, Any]) -> dict[str, Any]:
+    """Class of the road and weights of the car of two masses."""
+    roads = {f"iso_{name.lower()}": name for name in iso8608.MEANS}
+    name = one_of("road", view.get("road", "iso_c"), roads)
+    one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE,))
+    weights = check_weights(view.get("weights", TwoMassCar.default_reward), TwoMassCar(), make_road(name), None)
+    return {"iso_class": roads[name], "si_weights": {f"si_{term}": weight for term, weight in weights.items()}}
+
+
+def iso_classes() -> dict[str, Any]:
+    """What makes the roads of ISO 8608: the strength of each class, m, and the wavenumber of their corner, rad/m."""
+    return {
+        "strengths": {name: iso8608.strength(name) for name in iso8608.MEANS},
+        "wavenumber": 2 * math.pi * iso8608.LOWEST,
+    }
+
+
+def cars() -> dict[str, dict[str, float]]:
+    """By name, the cars of two masses: their parameters, and the range of their damper as damping ratios."""
+    result = {}
+    for name in (TWO_MASS, *PRESETS):
+        car = make_car(name)
+        low, high = car.default_damping_range
+        result[name] = {parameter: getattr(car, parameter) for parameter in PARAMETERS}
+        result[name] |= {"damping_min": float(f"{low:.3g}"), "damping_max": float(f"{high:.3g}")}
     return result
 
 

@@ -62,9 +62,9 @@ function valueAt({ low, high, logarithmic }, share) {
 
 const scales = {}; // of each plot, to turn a place of the pointer into a value
 
-/** Draw lines {kind, points}, marks {kind, at}, rules {x} and shaded ranges `outside` into the plot with the id, no higher than
-    wide. */
-function draw(id, { height: most, x, y, lines, marks = [], rules = [], outside = [], area = null, label }) {
+/** Draw lines {kind, points}, marks {kind, at}, small dots with a name {name, at}, rules {x} and shaded ranges `outside` into the
+    plot with the id, no higher than wide. */
+function draw(id, { height: most, x, y, lines, marks = [], dots = [], rules = [], outside = [], area = null, label }) {
   const svg = document.getElementById(id);
   const width = Math.min(Math.max(svg.clientWidth, 300), 640), height = Math.min(most, width);
   const left = 46, right = width - 8, top = 24, bottom = height - 36;
@@ -92,6 +92,9 @@ function draw(id, { height: most, x, y, lines, marks = [], rules = [], outside =
   for (const value of rules) parts.push(`<path class="rule" d="M${px(value)},${top}V${bottom}"/>`);
   for (const { kind, points } of lines) parts.push(`<path class="line ${kind}" d="${path(points)}"/>`);
   parts.push("</g>");
+  const dot = ({ name, at: [u, v] }) => (
+    `<circle cx="${px(u)}" cy="${py(v)}" r="2.6"/>${words(px(u) + 7, py(v) - 6, "start", name)}`);
+  parts.push(`<g class="dots">${dots.map(dot).join("")}</g>`);
   for (const { kind, at: [u, v] } of marks) {
     if (py(v) < top - 1 || py(v) > bottom + 1) continue;
     parts.push(`<circle class="mark ${kind}" cx="${px(u)}" cy="${py(v)}" r="5.5"/>`);

@@ -85,12 +85,17 @@ function dot(a, b) {
 const applied = (matrix, vector) => matrix.map((row) => dot(row, vector));
 const columns = (matrix) => matrix[0].map((_, k) => matrix.map((row) => row[k]));
 
-/** x of (a + b F + c F^2) x = right, by elimination with pivots. */
+/** x of (a + b F + c F^2) x = right. */
 function solve(F, [a, b, c], right) {
-  const size = F.length, across = columns(F);
-  const rows = F.map((row, i) => [
+  const across = columns(F);
+  return eliminate(F.map((row, i) => [
     ...row.map((value, k) => (i === k ? a : 0) + b * value + c * dot(row, across[k])), right[i],
-  ]);
+  ]));
+}
+
+/** x of M x = right, of the rows of [M | right], which it uses up; by elimination with pivots. */
+function eliminate(rows) {
+  const size = rows.length;
   for (let k = 0; k < size; k++) {
     let pivot = k;
     for (let i = k + 1; i < size; i++) if (Math.abs(rows[i][k]) > Math.abs(rows[pivot][k])) pivot = i;
@@ -237,15 +242,19 @@ function hasCost(p) {
   return !p.simulated && weighted.length > 0 && !weighted.some((name) => p.divergent.includes(name));
 }
 
-/** {damping, cost} of the best constant damping within the bounds, as analysis/optimum.py finds it: a grid even in log D, then
+/** {damping, cost} of the best constant damping within the bounds. */
+function optimum(p, search, ratio = p.frequency_ratio) {
+  return least((damping) => costAt(p, damping, ratio), p.damping_min, p.damping_max, search);
+}
+
+/** {damping, cost} at which costOf(damping) is least from low to high, as analysis/optimum.py finds it: a grid even in log D, then
     ever finer ones about the least cost, and the bound itself where the cost is flat, the lower one first. */
-function optimum(p, { coarse, fine, rounds }, ratio = p.frequency_ratio) {
-  const low = p.damping_min, high = p.damping_max;
+function least(costOf, low, high, { coarse, fine, rounds }) {
   let points = Array.from({ length: coarse }, (_, i) => low * (high / low) ** (i / (coarse - 1)));
   points[coarse - 1] = high;
   let damping, cost;
   for (let round = 0; round <= rounds; round++) {
-    const costs = points.map((value) => costAt(p, value, ratio));
+    const costs = points.map(costOf);
     const best = costs.reduce((least, value, i) => (value < costs[least] ? i : least), 0);
     damping = points[best];
     cost = costs[best];
@@ -253,7 +262,7 @@ function optimum(p, { coarse, fine, rounds }, ratio = p.frequency_ratio) {
     points = Array.from({ length: fine }, (_, i) => left + (right - left) * i / (fine - 1));
   }
   for (const bound of [high, low]) {
-    const atBound = costAt(p, bound, ratio);
+    const atBound = costOf(bound);
     if (atBound <= cost * (1 + 4 * Number.EPSILON)) [damping, cost] = [bound, atBound];
   }
   return { damping, cost };
@@ -318,5 +327,3 @@ function evaluate(parameters, known) {
     spectral_density: (frequency) => spectralDensity(p, frequency),
   };
 }
-
-if (typeof module === "object") module.exports = { evaluate }; // in node

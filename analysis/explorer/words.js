@@ -92,3 +92,31 @@ function pythonCode(p) {
   }
   return lines.join("\n");
 }
+
+/** The car of two masses and its road. */
+function twoMassName(p) {
+  return `A body of ${p.sprung_mass} kg and a wheel of ${p.unsprung_mass} kg on a road of class ${p.iso_class} at `
+    + `${p.kilometres_per_hour} km/h.`;
+}
+
+/** The lines of Python that give the same numbers of the car of two masses. */
+function twoMassCode(p) {
+  const weights = Object.entries(p.si_weights).filter(([, weight]) => weight > 0)
+    .map(([name, weight]) => `"${name.slice(3)}": ${weight}`);
+  const lines = [
+    "import analysis", "import roadgym", "", "car = roadgym.TwoMassCar(",
+    `    sprung_mass=${p.sprung_mass}, unsprung_mass=${p.unsprung_mass},`,
+    `    spring_rate=${p.spring_rate}, tyre_rate=${p.tyre_rate},`, ")",
+    `plant = {"road": "iso_${p.iso_class.toLowerCase()}", "car": car, "speed": ${p.kilometres_per_hour} / 3.6}`,
+    `squares = analysis.mean_squares(**plant, damping=${p.damping})`,
+    "print(squares.acceleration**0.5, squares.wheel_load**0.5)",
+  ];
+  if (weights.length > 0) {
+    lines.push(
+      "best = analysis.optimal_damping(", "    **plant,", `    weights={${weights.join(", ")}},`,
+      `    bounds=(${p.damping_min}, ${p.damping_max}),`, ")",
+      "print(best.damping, car.damping_coefficient(best.damping), best.cost)",
+    );
+  }
+  return lines.join("\n");
+}

@@ -1,4 +1,4 @@
-"""Draws what the pages show: the paper's figures, two of our own, a certificate, and the errata in numbers.
+"""Draws what the pages show: the paper's figures, three of our own, a certificate, and the errata in numbers.
 
 It is done before the pages are read, into ``_generated``, and not again until the sources change. The interactive page goes
 into the build.
@@ -17,10 +17,14 @@ from sphinx.application import Sphinx
 
 import analysis
 import roadgym
+from agents.controllers import make_controller
+from agents.evaluation import evaluate
 from agents.figure_style import save_figure
+from agents.names import title as name_shown
 from agents.records import write_atomically
 from analysis import explorer
 from analysis.paper import errata, figures
+from roadgym.task import make_task
 
 ROOT = Path(__file__).parents[2]
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -28,7 +32,8 @@ BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 
 def write(folder: Path) -> None:
     """Write everything into ``folder``, if the sources have changed since the last time."""
-    sources = [Path(__file__), *sorted((ROOT / "roadgym").rglob("*.py")), *sorted((ROOT / "analysis").rglob("*.py"))]
+    packages = (ROOT / "roadgym", ROOT / "analysis", ROOT / "agents" / "controllers")
+    sources = [Path(__file__), *(path for package in packages for path in sorted(package.rglob("*.py")))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     folder.mkdir(exist_ok=True)
     stamp = folder / "digest"
@@ -37,6 +42,7 @@ def write(folder: Path) -> None:
     figures.write(folder)
     draw_roads(folder / "roads.png")
     draw_cost_over_damping(folder / "cost_over_damping.png")
+    draw_comfort_and_grip(folder / "comfort_and_grip.png")
     write_atomically(folder / "certificate.md", certificate_table())
     write_atomically(folder / "errata.md", errata_table())
     write_atomically(stamp, digest)
@@ -104,6 +110,47 @@ def draw_cost_over_damping(path: Path) -> None:
     axis.minorticks_off()
     axis.grid(visible=True, linewidth=0.3)
     axis.legend(title="line: theory (16); ★: optimum\nmarks: driven, ± 2 standard errors", fontsize=9, title_fontsize=8)
+    save_figure(figure, path)
+
+
+def draw_comfort_and_grip(path: Path) -> None:
+    """The car of two masses on a road of class C: constant dampings by theory, and what they and controllers drive."""
+    environment = {"car": "two_mass", "road": "iso_c", "speed": 20.0, "reward": {"acceleration": 1.0, "tyre_deflection": 3e4}}
+    task = make_task(**environment)
+    names = {
+        "skyhook": "D",
+        "groundhook": "s",
+        "hybrid": "P",
+        "power_driven": "^",
+        "clipped_lqr": "v",
+        "mixed_lookahead": "X",
+    }
+    drivers: dict[str, Any] = {name: make_controller(name, task) for name in names}
+    driven = evaluate(drivers, environment=environment, speeds=[20.0], episodes=128, duration=10.0)
+
+    def place(squares: Any) -> tuple[Any, Any, Any]:
+        return np.sqrt(squares["acceleration"]), np.sqrt(squares["wheel_load"]), 1e3 * np.sqrt(squares["travel"])
+
+    fine, marked = np.geomspace(*task.damping_range, 200), np.array([0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
+    curve, dots = (
+        place(analysis.mean_squares(task.road, damping=damping, speed=20.0, car=task.car)) for damping in (fine, marked)
+    )
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    for axis, across, label in zip(figure.subplots(1, 2), (1, 2), ("wheel load, N", "travel, mm"), strict=True):
+        axis.plot(curve[0], curve[across], color=BLUE, linewidth=1.4, label="constant $D$: theory")
+        axis.plot(dots[0], dots[across], ".", color=BLUE)
+        for damping, x, y in zip(marked.tolist(), dots[0], dots[across], strict=True):
+            axis.annotate(f"{damping:g}", (x, y), (5, 3), textcoords="offset points", fontsize=8, color=BLUE)
+        for (name, marker), color in zip(
+            names.items(), (GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000", VERMILION), strict=True
+        ):
+            found = dict(zip(driven[name].names, driven[name].mean_squares[:, 0].tolist(), strict=True))
+            here = place(found)
+            axis.plot(here[0], here[across], marker, color=color, label=name_shown(name), markersize=7)
+        axis.set(xlabel="acceleration, m/s²", ylabel=label)
+        axis.grid(visible=True, linewidth=0.3)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     save_figure(figure, path)
 
 

@@ -111,6 +111,16 @@ class Car(abc.ABC):
         return 0.2 / self.natural_frequency
 
     @property
+    def static_load(self) -> float | None:
+        """Mean force of its wheel on the road, N; None where it has no wheel of its own, or no mass."""
+        return None
+
+    @property
+    def damping_unit(self) -> float | None:
+        """Damping coefficient at D = 1, N s/m; None where the car has no mass."""
+        return None
+
+    @property
     def mean_squares(self) -> tuple[str, ...]:
         """Names of its signals, each of which has a mean square."""
         return tuple(self.motion.signals)

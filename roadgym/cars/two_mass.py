@@ -28,6 +28,8 @@ from .linear import LinearCar
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from ..drawing import Canvas
 
+GRAVITY = 9.81  # m/s^2
+
 
 @functools.cache
 def motion_of(mass_ratio: float, stiffness_ratio: float, tyre_damping: float) -> Motion:
@@ -163,19 +165,29 @@ class TwoMassCar(LinearCar):
         """5 ms, as of the controllers of such cars."""
         return 0.005
 
+    @property
+    def static_load(self) -> float:
+        """Weight of both masses, N."""
+        return GRAVITY * (self.sprung_mass + self.unsprung_mass)
+
+    @property
+    def damping_unit(self) -> float:
+        """2 sqrt(k_s m_s), N s/m."""
+        return 2 * math.sqrt(self.spring_rate * self.sprung_mass)
+
     def damping_coefficient(self, damping_ratio: npt.ArrayLike) -> Any:
         """c = 2 D sqrt(k_s m_s), N s/m, of damping ratios D, 1, in their shape."""
-        return np.asarray(damping_ratio, float)[()] * (2 * math.sqrt(self.spring_rate * self.sprung_mass))
+        return np.asarray(damping_ratio, float)[()] * self.damping_unit
 
     def damping_ratio(self, damping_coefficient: npt.ArrayLike) -> Any:
         """D = c/(2 sqrt(k_s m_s)), 1, of damping coefficients c, N s/m, in their shape."""
-        return np.asarray(damping_coefficient, float)[()] / (2 * math.sqrt(self.spring_rate * self.sprung_mass))
+        return np.asarray(damping_coefficient, float)[()] / self.damping_unit
 
     def draw(self, canvas: Canvas) -> None:
-        """Draw the car; the wheel sinks into the road, and leaves it, as the tyre is pressed and let go."""
-        from ..drawing import body_on_wheel
+        """Draw the car; its tyre is flat where it is pressed, and round where the wheel has left the road."""
+        from ..drawing import body_on_tyre
 
-        body_on_wheel(canvas, canvas.heights[1])
+        body_on_tyre(canvas, pressed=self.static_load / self.tyre_rate)
 
 
 PRESETS: Mapping[str, Mapping[str, Any]] = {
