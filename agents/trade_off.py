@@ -111,7 +111,7 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
         ys.append(at[1])
     # the line runs far off, where nobody drives
     for set_limits, values in ((axis.set_xlim, xs), (axis.set_ylim, ys)):
-        set_limits(min(values) / 1.3, max(values) * 1.6)
+        set_limits(*((min(values) / 1.1, max(values) * 1.1) if in_si(task) else (min(values) / 1.3, max(values) * 1.6)))
     labels = [name.replace("_", " ") for name in names]
     if in_si(task):
         labels = [f"{label}, {unit(task, name)[0]}, root mean square" for label, name in zip(labels, names, strict=True)]

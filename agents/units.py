@@ -11,7 +11,7 @@ from .evaluation import OperatingPoint
 
 KILOMETRES_PER_HOUR = 3.6
 LARGER = {"m": ("mm", 1e3)}  # by a unit, the one that people use for what a car does
-SHOWN = ("acceleration", "weighted_acceleration", "travel", "tyre_deflection", "wheel_load")  # first of a car in SI
+SHOWN = ("acceleration", "weighted_acceleration", "travel", "wheel_load")  # first of a car in SI
 
 
 def in_si(task: Task) -> bool:
