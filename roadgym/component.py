@@ -77,9 +77,10 @@ class Registry(dict[str, type[Component]], Generic[Component]):
     def make(self, value: Any) -> Component:
         """A component from its name, from a mapping with the key "kind" and its parameters, or as it is.
 
-        A name may also be that of a file that exists, where a kind is read from files and none has this name. The parameters
-        are those of the class, or of the first of its ``constructors`` whose parameter is among them. A kind that is not there
-        is looked for among the entry points of installed packages, in the group `ENTRY_POINTS`.
+        A name may also be that of a file that exists, where a kind is read from files and none has this name. The kind may
+        be one of the ``presets``, whose parameters hold where they are not given. The parameters are those of the class, or of
+        the first of its ``constructors`` whose parameter is among them. A kind that is not there is looked for among the entry
+        points of installed packages, in the group `ENTRY_POINTS`.
 
         Raises:
             ParameterError: unknown kind or parameter, or a value out of range.
@@ -92,6 +93,9 @@ class Registry(dict[str, type[Component]], Generic[Component]):
             raise ParameterError(f"{self.what} must be a name, a mapping or a {self.base.__name__}, got {shown(value)}")
         parameters = dict(value)
         kind = parameters.pop("kind", None)
+        if isinstance(kind, str) and kind in self.presets:
+            parameters = {**self.presets[kind], **parameters}
+            kind = parameters.pop("kind")
         if isinstance(kind, str) and kind not in self:
             import_modules(point.module for point in importlib.metadata.entry_points(group=ENTRY_POINTS, name=kind))
         if not isinstance(kind, str) or kind not in self:

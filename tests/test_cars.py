@@ -13,10 +13,12 @@ import analysis
 import roadgym
 from agents.evaluation import evaluate
 from analysis.quadratic import plant_system
-from roadgym import CARS, GaussianRoad, LinearCar, ParameterError, QuarterCar, TwoMassCar
+from roadgym import CARS, FirstOrderRoad, GaussianRoad, LinearCar, ParameterError, QuarterCar, TwoMassCar
+from roadgym.cars import make_car
 from roadgym.cars.one_mass import MOTION
 from roadgym.linear import LinearSystem, Motion, Signal
 from roadgym.plant import Plant
+from roadgym.roads import make_road
 from roadgym.task import make_task
 
 ROAD = GaussianRoad(bandwidth=0.3, noise_intensity=1.0)
@@ -108,6 +110,15 @@ def test_a_mean_square_of_ones_own_is_observed_known_to_theory_and_weighed():
     )
     cost = 2 * float(theory.lever) / ROAD.variance
     assert abs(found["constant"].mean[0] - cost) < 4 * found["constant"].standard_error[0] + 1e-4 * cost
+
+
+def test_a_preset_is_a_kind_whose_parameters_may_be_others():
+    stiffer = make_car({"kind": "savaresi", "tyre_rate": 3e5})
+    assert stiffer == dataclasses.replace(make_car("savaresi"), tyre_rate=3e5)
+    assert make_road({"kind": "iso_c", "lowest_frequency": 0.02}) == FirstOrderRoad.from_iso8608("C", lowest_frequency=0.02)
+    assert make_road({"kind": "iso_c"}) == make_road("iso_c")
+    with pytest.raises(ParameterError, match="unknown parameter 'colour' of car 'two_mass'"):
+        make_car({"kind": "savaresi", "colour": 3})
 
 
 @pytest.fixture
