@@ -60,7 +60,8 @@ def test_plants_are_those_that_are_defined():
         ({"car": "savaresi", "road": "gaussian"}, r"road must be one of iso_a, .*'gaussian'"),
         ({"car": "savaresi", "speed_noise": "white"}, r"speed_noise must be one of none, got 'white'"),
         ({"car": "two_mass", "tyre_rate": 5.0}, r"tyre_rate must be from 200 to 1e\+06, got 5"),
-        ({"car": "two_mass", "weights": {"grip": 1}}, r"grip"),
+        ({"car": "two_mass", "weights": {"grip": 1}}, r"weights must be one of displacement, .*wheel_load, got 'grip'"),
+        ({"car": "two_mass", "weights": {"weighted_acceleration": 1}}, r"wheel_load, got 'weighted_acc"),
     ],
 )
 def test_bad_view_is_refused(view, message, tmp_path):

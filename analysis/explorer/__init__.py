@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 
 from roadgym import MEAN_SQUARES, ROADS, QuarterCar, TwoMassCar, __version__
-from roadgym.cars import make_car
+from roadgym.cars import Car, make_car
 from roadgym.cars.two_mass import PRESETS
 from roadgym.files import whole_file
 from roadgym.parameters import ParameterError, number, shown
 from roadgym.reward import check_weights, divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad, Road, iso8608, make_road
-from roadgym.speed import SPEED_NOISES, make_speed_noise
+from roadgym.speed import SPEED_NOISES, SpeedNoise, make_speed_noise
 
 from ..checks import one_of
 from ..optimum import COARSE, DISPLACEMENT, FINE, ROUNDS
@@ -167,7 +167,7 @@ def one_mass_view(view: Mapping[str, Any]) -> dict[str, Any]:
         make_road(kind)  # which an installed package may register
     road = make_road(one_of("road", kind, roads()))
     noise = make_speed_noise(one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE, *SPEED_NOISES)), road)
-    weights = check_weights(view.get("weights", DISPLACEMENT), QuarterCar(), road, noise)
+    weights = shown_weights(view.get("weights", DISPLACEMENT), QuarterCar(), road, noise)
     return {"road": road.kind, "speed_noise": noise.kind if noise else NO_NOISE, "weights": weights}
 
 
@@ -176,8 +176,15 @@ def two_mass_view(view: Mapping[str, Any]) -> dict[str, Any]:
     roads = {f"iso_{name.lower()}": name for name in iso8608.MEANS}
     name = one_of("road", view.get("road", "iso_c"), roads)
     one_of("speed_noise", view.get("speed_noise", NO_NOISE), (NO_NOISE,))
-    weights = check_weights(view.get("weights", TwoMassCar.default_reward), TwoMassCar(), make_road(name), None)
+    weights = shown_weights(view.get("weights", TwoMassCar.default_reward), TwoMassCar(), make_road(name), None)
     return {"iso_class": roads[name], "si_weights": {f"si_{term}": weight for term, weight in weights.items()}}
+
+
+def shown_weights(weights: Any, car: Car, road: Road, noise: SpeedNoise | None) -> dict[str, float]:
+    """The weights by mean square, checked; the page knows those that a car always tells."""
+    for name in weights if isinstance(weights, Mapping) else ():
+        one_of("name in weights", name, car.mean_squares)
+    return check_weights(weights, car, road, noise)
 
 
 def iso_classes() -> dict[str, Any]:
