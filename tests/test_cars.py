@@ -150,7 +150,8 @@ def test_errors_of_cars_tell_what_is_wrong():
     for parameters, message in (
         ({"car": "three_mass"}, "unknown car 'three_mass'; known: one_mass, two_mass"),
         ({"car": {"kind": "one_mass", "mass": 3}}, "unknown parameter 'mass' of car 'one_mass'; known: natural_frequency"),
-        ({"car": "one_mass", "natural_frequency": 2.0}, "natural_frequency must not be given beside car"),
+        ({"car": "one_mass", "natural_frequency": 2.0}, "natural_frequency must not be given beside car: it is a parameter"),
+        ({"car": "two_mass", "natural_frequency": 2.0}, "beside car: .* or follows from its parameters"),
         ({"car": TwoMassCar(), "reward": {"sound": 1.0}}, "unknown reward term 'sound'; known: displacement, .*wheel_load"),
         ({"car": {"kind": "two_mass", "tyre_rate": -1.0}}, "tyre_rate must be positive, got -1"),
     ):

@@ -32,7 +32,9 @@ def make_car(car: str | Mapping[str, Any] | Car | None, natural_frequency: float
             natural_frequency=1.0 if natural_frequency is None else within("natural_frequency", natural_frequency)
         )
     elif natural_frequency is not None:
-        raise ParameterError("natural_frequency must not be given beside car, whose parameter it is")
+        raise ParameterError(
+            "natural_frequency must not be given beside car: it is a parameter of that car, or follows from its parameters"
+        )
     else:
         made = CARS.make(car)
     within(f"natural_frequency of the {made.kind} car", made.natural_frequency, "natural_frequency")
