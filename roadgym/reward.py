@@ -26,6 +26,11 @@ def divergent_terms(car: Car, road: Road, speed_noise: SpeedNoise | None) -> tup
     return () if smooth else car.motion.rough
 
 
+def divergence_cause(road: Road, speed_noise: SpeedNoise | None) -> str:
+    """What makes them so, for a message."""
+    return f"{speed_noise.kind} speed noise" if speed_noise and road.has_slope else f"a {road.kind} road"
+
+
 def asked_signals(*lists: Any) -> list[str]:
     """The names of signals in rewards and observations, before these are checked."""
     return [name for names in lists if isinstance(names, (Mapping, Sequence)) for name in names if isinstance(name, str)]
@@ -49,7 +54,7 @@ def check_weights(weights: Mapping[str, float], car: Car, road: Road, speed_nois
         raise ParameterError(f"reward needs at least one positive weight, got {shown(dict(weights))}")
     for name in divergent_terms(car, road, speed_noise):
         if result[name]:
-            cause = f"{speed_noise.kind} speed noise" if speed_noise and road.has_slope else f"a {road.kind} road"
+            cause = divergence_cause(road, speed_noise)
             raise ParameterError(f"the mean square of {name} is infinite on {cause}, so its weight must be 0")
     return result
 

@@ -17,7 +17,7 @@ from .moved import moved
 from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
 from .record import OBSERVED
 from .resolution import needed_precision, needed_substeps
-from .reward import asked_signals, check_weights, cost_unit, divergent_terms
+from .reward import asked_signals, check_weights, cost_unit, divergence_cause, divergent_terms
 from .roads import Road, make_road
 from .speed import SpeedNoise, make_speed_noise
 
@@ -297,6 +297,9 @@ def make_task(
         raise ParameterError(f"observation must be a sequence of signal names, got {shown(observation)}")
     names = list(observation)
     for name in names:
+        if name in divergent_terms(the_car, the_road, noise):
+            cause = divergence_cause(the_road, noise)
+            raise ParameterError(f"the signal {name!r} is infinite on {cause}: observation must not name it")
         if name not in observable:
             raise ParameterError(f"unknown signal {shown(name)} on this plant; known: {', '.join(observable)} (observation)")
         if names.count(name) > 1:
