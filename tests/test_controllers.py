@@ -146,7 +146,7 @@ def test_lookahead_improves_on_the_best_constant_everywhere():
 
 
 def test_controllers_say_which_signal_they_miss():
-    with pytest.raises(ParameterError, match="SkyhookOnOff needs the signal 'slope'; the task observes displacement"):
+    with pytest.raises(ParameterError, match=r"^skyhook needs the signal 'slope'; the task observes displacement"):
         SkyhookOnOff(make_task(road="first_order"))
     with pytest.raises(ParameterError, match="unknown controller 'fuzzy'; known: analytic_optimum"):
         make_controller("fuzzy", TASK)
@@ -199,5 +199,13 @@ def test_optimal_feedback_is_worked_out_once_and_kept(tmp_path, monkeypatch):
     ],
 )
 def test_rules_with_a_model_refuse_what_is_outside_it(name, plant, message):
-    with pytest.raises(ParameterError, match=f"at a constant speed; got {message}"):
+    with pytest.raises(ParameterError, match=f"^{name} needs .* at a constant speed; got {message}"):
         make_controller(name, make_task(**plant))
+
+
+def test_rules_with_a_model_refuse_a_weighted_car_and_say_why():
+    weighted = make_task(car="two_mass", road="iso_c", speed=20.0, reward={"weighted_acceleration": 1.0})
+    with pytest.raises(ParameterError, match=r"^clipped_lqr needs a car without a weighting, got .* weighted_acceleration$"):
+        make_controller("clipped_lqr", weighted)
+    with pytest.raises(ParameterError, match=r"^clipped_lqr needs a gaussian or .*; got a power_law road$"):
+        make_controller("clipped_lqr", make_task(road="power_law"))

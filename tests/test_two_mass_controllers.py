@@ -98,9 +98,7 @@ def test_power_driven_damper_is_that_of_its_authors():
 
 
 def test_rules_on_the_wheel_refuse_a_car_without_one():
-    with pytest.raises(
-        ParameterError, match=r"^GroundhookOnOff needs a car with the signal 'wheel_velocity'; known: displ[^\n]*$"
-    ):
+    with pytest.raises(ParameterError, match=r"^groundhook needs a car with the signal 'wheel_velocity'; known: displ[^\n]*$"):
         make_controller("groundhook", make_task())
 
 

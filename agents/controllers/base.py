@@ -21,6 +21,14 @@ Damping = npt.NDArray[np.float32]
 LARGEST_SIGNAL = 1e6  # of an observation, in standard deviations of the road; those of the environment saturate far below
 
 
+def command_name(controller: Controller) -> str:
+    """Its name in `agents.CONTROLLERS`, by which commands know it; that of its class where it has none there."""
+    from . import CONTROLLERS  # which holds what is built upon this module
+
+    made = type(controller)
+    return next((name for name, known in CONTROLLERS.items() if known is made), made.__name__)
+
+
 class Controller(abc.ABC):
     """A rule that sets the damping ratio from an observation of ``task``.
 
@@ -35,7 +43,7 @@ class Controller(abc.ABC):
         for name in self.needs:
             if name not in task.signals:
                 raise ParameterError(
-                    f"{type(self).__name__} needs the signal {name!r}; the task observes {', '.join(task.signals)}"
+                    f"{command_name(self)} needs the signal {name!r}; the task observes {', '.join(task.signals)}"
                 )
         self.task = task
 
@@ -148,7 +156,7 @@ class SemiActive(Controller):
         for name in self.seen:
             if name not in motion.signals:
                 known = ", ".join(motion.signals)
-                raise ParameterError(f"{type(self).__name__} needs a car with the signal {name!r}; known: {known}")
+                raise ParameterError(f"{command_name(self)} needs a car with the signal {name!r}; known: {known}")
         terms = dict.fromkeys(term for name in (*self.seen, motion.relative) for term in motion.signals[name].terms)
         own = [term for term in terms if term not in ("level_rate", "damper_force")]
         self.needs = (*own, *(("slope", "speed") if "level_rate" in terms else ()), *self.needs)

@@ -19,7 +19,7 @@ from roadgym.task import OPERATING_POINT, Task
 
 from ..advantage import has_advantage, state_of
 from ..theory import optimum, road_at
-from .base import Controller, Observation, observed_bandwidth, observed_speed
+from .base import Controller, Observation, command_name, observed_bandwidth, observed_speed
 from .rules import SHARES
 
 PRICE = 0.01  # of the square of an active force, over the sum of the weights
@@ -29,20 +29,22 @@ class Scheduled(Controller):
     """A rule with forms of the state of car and road, such as (Y, X, Z, U), worked out once for each operating point.
 
     Raises:
-        ParameterError: a plant outside the model: noise on the speed, an ellipse, or a road whose states are not observed.
+        ParameterError: a plant outside the model: noise on the speed, an ellipse, a road whose states are not observed, or a
+            car with a weighting.
     """
 
     def __init__(self, task: Task) -> None:
         if not has_advantage(task):
-            plant, road = f"a {task.road.kind} road", task.road.shaping_filter()
+            name, plant, road = command_name(self), f"a {task.road.kind} road", task.road.shaping_filter()
+            if task.car.motion.filters:
+                asked = ", ".join(task.car.motion.filters)
+                raise ParameterError(f"{name} needs a car without a weighting, got one that tells {asked}")
             if task.speed_noise is not None:
                 plant = f"{task.speed_noise.kind} speed noise"
             elif road is not None and road.flatness is None:
                 plant = "an ellipse"
-            elif task.car.motion.filters:
-                plant = "a car with a weighting"
             raise ParameterError(
-                f"{type(self).__name__} needs a gaussian or first-order road, or a multiplicative one on a circle, "
+                f"{name} needs a gaussian or first-order road, or a multiplicative one on a circle, "
                 f"at a constant speed; got {plant}"
             )
         self.state = state_of(task)
