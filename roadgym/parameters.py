@@ -56,6 +56,8 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "ellipse shape": Range(0.3, 100.0, "alpha on an ellipse, 1"),
         "profile points": Range(16, 1_000_000, "heights of a measured profile"),
         "profile spacing": Range(1e-3, 10.0, "distance between two of them, m"),
+        "profile distance": Range(-1e9, 1e9, "distance of a point of such a profile in a file, m"),
+        "profile height": Range(-1e4, 1e4, "height of a point of such a profile in a file, m"),
         # the operating point
         "frequency ratio": Range(1e-9, 1e4, "nu = speed * wavenumber/natural_frequency of a plant that is driven, 1"),
         "any speed": Range(0.0, 1e30, "speed, m/s; what counts is the frequency ratio"),

@@ -149,6 +149,9 @@ TEXT_ROWS = "\n".join("".join(f"{number:10.6f}" for number in row) for row in gr
         (table(header="x, z\n") + "500\n", "line 42 of the profile .* must have numbers, got '500'"),
         (table().replace(f"{HEIGHTS[6]:.8f}", "nan"), "height 7 of the profile .* must be finite, got nan"),
         (table().replace(f"{DISTANCE[6]:.6f}", "inf"), "distance 7 of the profile .* must be finite, got inf"),
+        (table().replace(f"{HEIGHTS[6]:.8f}", "1e300"), r"height 7 of .* must lie within \[-10000, 10000\] m, got 1e\+300 m"),
+        (table().replace(f"{DISTANCE[6]:.6f}", "-1e308"), r"distance 7 of .* must lie within \[-1e\+09, 1e\+09\] m, got -1e"),
+        (table(header="x [m], z [km]\n").replace(f"{HEIGHTS[6]:.8f}", "9e307"), "height 7 of .* must be finite, got inf"),
         (table(distance=DISTANCE[::-1]), "must grow, got 487.5 after 487.75 at point 2"),
         (table(distance=uneven(10, -SPACING)), "must grow, got 480.25 after 480.25 at point 11"),
         (table(distance=uneven(10, 0.1)), r"even to 0.05 of a step: from 480.25 m to 480.6 m it is 0.35 m, elsewhere 0.25 m"),
@@ -184,9 +187,11 @@ def test_no_file_and_a_folder(tmp_path):
         read_profile(tmp_path / "nowhere.csv")
     with pytest.raises(ParameterError, match="it is a folder"):
         read_profile(tmp_path)
+    with pytest.raises(ParameterError, match="path must name a file, got None"):
+        read_profile(None)
 
 
-@pytest.mark.parametrize("units", ["furlong", ("m",), ("m", "m", "m"), 3, ("m", 5)])
+@pytest.mark.parametrize("units", ["furlong", ("m",), ("m", "m", "m"), 3, ("m", 5), "km", ("m", "km")])
 def test_units_that_nobody_knows(tmp_path, units):
     with pytest.raises(ParameterError, match="units must be that of heights, or a pair"):
         read_profile(write(tmp_path, table()), units)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from roadgym import CARS, ROADS, SPEED_NOISES, __version__
+from roadgym.roads.profile_formats import HEIGHT_UNITS
 
 from ..benchmark import CASES
 from ..names import CONTROLLERS_SHOWN
@@ -160,7 +161,7 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym road profile.csv --units mm --output results",
     )
     road.add_argument("file", type=nonempty, metavar="FILE", help="heights over the distance: a table (CSV), ERD or OpenCRG")
-    road.add_argument("--units", metavar="UNIT", help="of the heights: m, mm, in or ft (what the file tells, or m)")
+    road.add_argument("--units", metavar="UNIT", help=f"of the heights: {', '.join(HEIGHT_UNITS)} (what the file tells, or m)")
     road.add_argument(
         "--column", type=int, metavar="N", help="which heights of the file, from 1 (the only ones, or the middle)"
     )

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from ..parameters import RANGES, ParameterError, shown, whole
 from . import profile_formats
-from .profile_formats import METRES, Table
+from .profile_formats import HEIGHT_UNITS, METRES, Table
 
 ROUGHEST = 0.5  # rms of the steps of the heights over the root of their spacing, m^(1/2), that is believed without a unit
 UNEVEN = 0.05  # of a step, by which distances may be off even ones: files round them
@@ -61,14 +61,16 @@ def read_profile(
 
     Args:
         path: the file.
-        units: of the heights, or of distances and heights, a pair: names such as "m", "mm", "in" or "ft", in place of what the
-            file tells. By default that, or metres.
+        units: of the heights, one of `roadgym.roads.profile_formats.HEIGHT_UNITS`, or of distances and heights, a pair, where
+            distances may be in "km" too; in place of what the file tells. By default that, or metres.
         column: which heights, from 1: of a table, its column after that of the distances, of ERD its channel, of OpenCRG its
             long section. By default the only one of a table, the first channel, and the section nearest the reference line.
 
     Raises:
         ParameterError: a file that cannot be read as a profile: what is wrong, and where.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise ParameterError(f"path must name a file, got {shown(path)}")
     name = f"profile {os.fspath(path)!r}"
     distance_unit, height_unit = _units(units)
     if column is not None:
@@ -78,8 +80,9 @@ def read_profile(
     except OSError as error:
         raise ParameterError(f"cannot read the {name}: {error.strerror or error}") from None
     told = height_unit is not None or table.height_unit is not None
-    distance = table.distance * METRES[distance_unit or table.distance_unit or "m"]
-    heights = table.heights * METRES[height_unit or table.height_unit or "m"]
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+        distance = table.distance * METRES[distance_unit or table.distance_unit or "m"]
+        heights = table.heights * METRES[height_unit or table.height_unit or "m"]
     return _checked(name, distance, heights, told=told)
 
 
@@ -88,10 +91,11 @@ def _units(units: str | Sequence[str] | None) -> tuple[str | None, str | None]:
     if units is None:
         return None, None
     pair = (None, units) if isinstance(units, str) else tuple(units) if isinstance(units, Sequence) else ()
-    if len(pair) != 2 or any(not (unit is None or (isinstance(unit, str) and unit in METRES)) for unit in pair):
-        known = ", ".join(METRES)
+    known = zip(pair, (METRES, HEIGHT_UNITS), strict=False)
+    if len(pair) != 2 or any(not (unit is None or (isinstance(unit, str) and unit in names)) for unit, names in known):
         raise ParameterError(
-            f"units must be that of heights, or a pair, of distances and heights, of {known}, got {shown(units)}"
+            f"units must be that of heights, or a pair, of distances and heights, of {', '.join(HEIGHT_UNITS)}, or "
+            f"km of distances, got {shown(units)}"
         )
     return pair[0], pair[1]
 
@@ -200,6 +204,14 @@ def _checked(name: str, distance: npt.NDArray[np.float64], heights: npt.NDArray[
         if not np.isfinite(values).all():
             place = int(np.argmin(np.isfinite(values)))
             raise ParameterError(f"{what} {place + 1} of the {name} must be finite, got {values[place]}")
+        allowed = RANGES[f"profile {what}"]
+        outside = (values < allowed.low) | (values > allowed.high)
+        if outside.any():
+            place = int(np.argmax(outside))
+            raise ParameterError(
+                f"{what} {place + 1} of the {name} must lie within [{allowed.low:g}, {allowed.high:g}] m, "
+                f"got {values[place]:g} m"
+            )
     steps = np.diff(distance)
     if steps.min() <= 0:
         place = int(np.argmax(steps <= 0))

@@ -34,6 +34,7 @@ METRES = {
     "mils": 0.0254e-3,
     **dict.fromkeys(("ft", "feet"), 0.3048),
 }
+HEIGHT_UNITS = tuple(unit for unit in METRES if unit != "km")  # in which anybody tells heights
 ERD_TEXT = 5  # the form of the numbers that is text
 FIELDS = {"LRFI": 10, "LDFI": 20}  # letters of a number
 BINARY = {"KRBI": ">f4", "KDBI": ">f8"}
