@@ -97,11 +97,19 @@ def measure(
         ParameterError: a file or a profile that cannot be used: what is wrong.
     """
     profile = read_profile(path, units, column=column)
+    try:
+        return _measured(Path(path).name, profile, band=band, folded=folded, iso_class=iso_class)
+    except ParameterError as error:
+        raise ParameterError(f"profile {str(path)!r}: {error}") from None
+
+
+def _measured(name: str, profile: Profile, *, band: tuple[float, float], folded: bool, iso_class: str | None) -> MeasuredRoad:
+    """All that is found of a profile that was read."""
     heights, spacing = profile.heights, profile.spacing
     roughness = fit_iso8608(heights, spacing, band=band, folded=folded)
     identified = identify(heights, spacing, band=roughness.band)
     return MeasuredRoad(
-        name=Path(path).name,
+        name=name,
         profile=profile,
         roughness=roughness,
         index=None if spacing > WIDEST else international_roughness_index(heights, spacing),

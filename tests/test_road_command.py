@@ -99,9 +99,11 @@ def test_a_bounded_road_is_found_and_shown(bounded, tmp_path, capsys):
 
 def test_faults_are_told_in_one_line(class_c, tmp_path, capsys):
     write_profile(tmp_path / "short.csv", FirstOrderRoad(), spacing=1.0, points=100)
+    np.savetxt(tmp_path / "line.csv", np.arange(300)[:, None] * [0.1, 0.002], delimiter=",")
     for arguments, message in (
         ([str(tmp_path / "none.csv")], "none.csv"),
-        ([str(tmp_path / "short.csv"), "--units", "mm"], "heights must be 256 or more in a row"),
+        ([str(tmp_path / "short.csv"), "--units", "mm"], "short.csv': heights must be 256 or more in a row"),
+        ([str(tmp_path / "line.csv")], "line.csv': heights must not all be on a line"),
         ([class_c, "--units", "mm", "--iso-class", "Z"], "iso_class must be a letter of A, B, "),
         ([class_c, "--units", "parsec"], "parsec"),
         ([class_c, "--units", "mm", "--band", "2", "1"], "band must be a pair (low, high)"),
