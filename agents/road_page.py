@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ import numpy.typing as npt
 import analysis
 from analysis.identification import steps_between
 from roadgym.installation import needs
+from roadgym.parameters import ParameterError
 from roadgym.roads import iso8608, sample_road
 
 from .figure_style import save_figure
@@ -31,17 +34,35 @@ CONFIDENCE = 0.95
 MOST_POINTS = 2500  # heights in a picture
 
 
+PAGE = "road.html"
+ENDS = ("", "_narrow")  # of the pictures' names, for wide and for narrow screens
+
+
+def check_folder(folder: Path, name: str) -> None:
+    """Look what `write` would write over: the page of a file of the same ``name`` and its pictures may be there, nothing else.
+
+    Raises:
+        ParameterError: it is something else.
+    """
+    files = [PAGE, *(f"{picture}{end}.png" for picture in drawings() for end in ENDS)]
+    there = [file for file in files if (folder / file).exists()]
+    text = (folder / PAGE).read_text(encoding="utf-8", errors="replace") if PAGE in there else ""
+    title = re.search("<title>(.*): a measured road</title>", text)
+    if there and (title is None or html.unescape(title.group(1)) != name):
+        raise ParameterError(f"{str(folder)!r} must not hold the {there[0]} of others than {name!r}: choose another folder")
+
+
 def write(measured: MeasuredRoad, folder: Path) -> list[Path]:
     """Write the page and its pictures into a folder that exists; returns the files."""
     pictures = draw(measured, folder)
-    page = folder / "road.html"
+    page = folder / PAGE
     write_atomically(page, make_page(measured, pictures))
     return [page, *(path for picture in pictures for path in (picture.path, picture.narrow) if path is not None)]
 
 
-def draw(measured: MeasuredRoad, folder: Path) -> list[Picture]:
-    """Draw every picture, for a wide and for a narrow screen."""
-    drawings: dict[str, tuple[Callable[[MeasuredRoad, bool], Figure], str]] = {
+def drawings() -> dict[str, tuple[Callable[[MeasuredRoad, bool], Figure], str]]:
+    """By name, what draws each picture, and its caption."""
+    return {
         "spectrum": (
             draw_spectrum,
             "Spectral density of the measured heights over the spatial frequency. Marks: means over the bands of ISO 8608, "
@@ -64,9 +85,13 @@ def draw(measured: MeasuredRoad, folder: Path) -> list[Picture]:
             "bounded road.",
         ),
     }
+
+
+def draw(measured: MeasuredRoad, folder: Path) -> list[Picture]:
+    """Draw every picture, for a wide and for a narrow screen."""
     pictures = []
-    for name, (figure, caption) in drawings.items():
-        wide, narrow = folder / f"{name}.png", folder / f"{name}_narrow.png"
+    for name, (figure, caption) in drawings().items():
+        wide, narrow = (folder / f"{name}{end}.png" for end in ENDS)
         save_figure(figure(measured, False), wide)
         save_figure(figure(measured, True), narrow)
         pictures.append(Picture(wide, caption, narrow))

@@ -95,6 +95,15 @@ def test_a_bounded_road_is_found_and_shown(bounded, tmp_path, capsys):
     assert main(["road", bounded, "--units", "mm", "--output", str(folder)]) == 0  # again, over what is there
     assert (folder / "spectrum.png").stat().st_ino != before
     assert {path.name for path in folder.iterdir()} == names
+    other = write_profile(tmp_path / "other's.csv", FirstOrderRoad(), spacing=0.1, points=300)
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "profile.png").write_text("a picture of ours")
+    capsys.readouterr()
+    for place, held in ((folder, "road.html"), (tmp_path / "own", "profile.png")):
+        before = {path: path.stat().st_mtime_ns for path in place.iterdir()}
+        assert main(["road", str(other), "--output", str(place)]) == 2
+        assert re.search(f"must not hold the {held} of others than .*other's.csv.*another folder\n$", capsys.readouterr().err)
+        assert before == {path: path.stat().st_mtime_ns for path in place.iterdir()}
 
 
 def test_faults_are_told_in_one_line(class_c, tmp_path, capsys):

@@ -175,7 +175,12 @@ def make_parser() -> argparse.ArgumentParser:
     )
     road.add_argument("--iso-class", metavar="CLASS", help="A to H: certify that the profile is of this class of ISO 8608")
     road.add_argument("--json", action="store_true", help="print JSON instead of the text")
-    road.add_argument("--output", type=nonempty, metavar="DIR", help="write a page with pictures, road.html, into this folder")
+    road.add_argument(
+        "--output",
+        type=nonempty,
+        metavar="DIR",
+        help="write a page with pictures, road.html, into this folder, over that of a file of the same name alone",
+    )
 
     benchmark = _command(
         commands, "benchmark", run_benchmark, "measure speed side by side with peers", "roadgym benchmark --output speed.json"

@@ -18,7 +18,9 @@ def run_road(chosen: argparse.Namespace) -> int:
     if chosen.output:
         for package in ("matplotlib", "jinja2"):
             require(package, "report")  # before the work
-        make_folder(chosen.output)
+        from ..road_page import check_folder
+
+        check_folder(make_folder(chosen.output), Path(chosen.file).name)
     measured = measure(
         chosen.file,
         units=chosen.units,
