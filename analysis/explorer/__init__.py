@@ -52,6 +52,11 @@ OWN_FORMULAS = (FirstOrderRoad, GaussianRoad, MultiplicativeRoad)  # in `theory.
 NO_NOISE = "none"
 ONE_MASS, TWO_MASS = "one_mass", "two_mass"
 PARAMETERS = ("sprung_mass", "unsprung_mass", "spring_rate", "tyre_rate")  # of the car of two masses
+# by the car that the page shows: what of `RANGES` belongs to the other one alone
+OF_THE_OTHER = {
+    ONE_MASS: (*PARAMETERS, "kilometres_per_hour"),
+    TWO_MASS: ("frequency_ratio", "bandwidth", "shape", "intensity", "corner_frequency"),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +103,8 @@ def write(path: str | Path, view: Mapping[str, Any] | None = None) -> Path:
     Args:
         path: the file.
         view: what the page shows at first, over the defaults: ``car``, ``road`` and ``speed_noise`` by name, ``weights`` by
-            mean square, and any of `RANGES`. A car of two masses begins with its own masses, rates and range of damping.
+            mean square, and any of `RANGES` that the car has. A car of two masses begins with its own masses, rates and range
+            of damping.
 
     Returns:
         The file.
@@ -141,12 +147,13 @@ def make_view(view: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not isinstance(view, Mapping):
         raise ParameterError(f"view must be a mapping, got {shown(view)}")
-    known = ("car", "road", "speed_noise", "weights", *RANGES)
-    for name in view:
-        one_of("name in the view", name, known)
     car = one_of("car", view.get("car", ONE_MASS), (ONE_MASS, *cars()))
+    kind = ONE_MASS if car == ONE_MASS else TWO_MASS
+    own = [name for name in RANGES if name not in OF_THE_OTHER[kind]]
+    for name in view:
+        one_of(f"name in the view of the {kind} car", name, ("car", "road", "speed_noise", "weights", *own))
     one, two = (view, {}) if car == ONE_MASS else ({}, view)
-    result = {"car": ONE_MASS if car == ONE_MASS else TWO_MASS, **one_mass_view(one), **two_mass_view(two)}
+    result = {"car": kind, **one_mass_view(one), **two_mass_view(two)}
     starts = {name: allowed.start for name, allowed in RANGES.items()} | cars().get(car, {})
     for name, allowed in RANGES.items():
         value = number(name, view.get(name, starts[name]))
