@@ -17,7 +17,10 @@ from agents.cli import main, make_parser
 from agents.controllers import CONTROLLERS
 from agents.names import CONTROLLERS_SHOWN
 from agents.training import silent
+from analysis import explorer
+from roadgym import CARS, TwoMassCar
 from roadgym.__main__ import main as roadgym_main
+from roadgym.task import signals
 
 HYPERPARAMETERS = """
 roadgym/QuarterCar-v0:
@@ -206,6 +209,18 @@ def test_help_speaks_of_what_the_command_has(command):
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= own
     if own & {"--controller", "--controllers"}:
         assert all(re.search(rf"\b{name}\b", text) for name in CONTROLLERS)
+    if "--car" in own:
+        assert all(re.search(rf"\b{name}\b", text) for name in (*CARS, *CARS.presets))
+    if "--road" in own:
+        assert "iso_a to iso_h" in text
+    if "--observation" in own:
+        assert all(re.search(rf"\b{name}\b", text) for name in (*signals(TwoMassCar()), *TwoMassCar.optional))
+
+
+def test_help_of_the_explorer_has_all_that_its_page_takes():
+    text = COMMANDS["explore"].format_help()
+    names = (*explorer.RANGES, *explorer.roads(), *explorer.cars(), *TwoMassCar().mean_squares)
+    assert [name for name in names if not re.search(rf"\b{name}\b", text)] == []
 
 
 def test_every_controller_has_a_name_to_be_shown():

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar
+from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, TwoMassCar
 from roadgym.task import signals
 
 
@@ -42,6 +42,12 @@ def weights(text: str) -> dict[str, float]:
     return found
 
 
+CAR_NAMES = ", ".join([*CARS, *CARS.presets])
+ROAD_KINDS = ", ".join(kind for kind in ROADS if kind != ROADS.of_file)
+ROAD_NAMES = f"{ROAD_KINDS}, iso_a to iso_h"
+OBSERVED = dict.fromkeys([*signals(QuarterCar()), *QuarterCar.optional])  # of one mass
+OF_TWO_MASSES = ", ".join(name for name in signals(TwoMassCar()) if name not in OBSERVED)
+
 RANGE: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("LOW", "HIGH")}
 # by the environment's parameter: the option that sets it, and how it is read
 ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
@@ -50,7 +56,7 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "type": component,
             "metavar": "ROAD",
-            "help": f"{', '.join(ROADS)}, a file with a profile, or a JSON mapping with the key kind",
+            "help": f"{ROAD_NAMES}, a file of a profile, or a JSON mapping with the key kind",
         },
     ),
     "speed_noise": (
@@ -73,8 +79,8 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "nargs": "*",
             "metavar": "NAME",
-            "help": f"signals to observe, of {', '.join(signals(QuarterCar()))}; with no name, the operating point (speed, "
-            "bandwidth) alone",
+            "help": f"signals to observe, of the car of one mass {', '.join(OBSERVED)}; of two masses also {OF_TWO_MASSES}; "
+            "with no name, the operating point (speed, bandwidth) alone",
         },
     ),
     "observe_operating_point": (
@@ -87,7 +93,7 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "car": (
         "--car",
-        {"type": component, "metavar": "CAR", "help": f"{', '.join(CARS)}, or a JSON mapping with the key kind"},
+        {"type": component, "metavar": "CAR", "help": f"{CAR_NAMES}, or a JSON mapping with the key kind"},
     ),
     "natural_frequency": (
         "--natural-frequency",

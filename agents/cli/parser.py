@@ -6,13 +6,24 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from roadgym import CARS, ROADS, SPEED_NOISES, __version__
+from roadgym import SPEED_NOISES, QuarterCar, TwoMassCar, __version__
 from roadgym.roads.profile_formats import HEIGHT_UNITS
 
 from ..benchmark import CASES
 from ..names import CONTROLLERS_SHOWN
 from .commands import run_compare, run_drive, run_evaluate, run_train, run_tune
-from .options import ENVIRONMENT, add_environment, add_evaluation, add_training, component, nonempty, weights
+from .options import (
+    CAR_NAMES,
+    ENVIRONMENT,
+    ROAD_KINDS,
+    ROAD_NAMES,
+    add_environment,
+    add_evaluation,
+    add_training,
+    component,
+    nonempty,
+    weights,
+)
 from .road import run_road
 from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
@@ -136,7 +147,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--road",
         type=component,
         default="multiplicative",
-        help=f"{', '.join(ROADS)}, a file with a profile, or a JSON mapping (%(default)s)",
+        help=f"{ROAD_NAMES}, a file of a profile, or a JSON mapping (%(default)s)",
     )
     certify.add_argument(
         "--speed-noise", type=component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind (none)"
@@ -209,8 +220,11 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym explore --output explorer.html",
     )
     explore.add_argument("--output", type=nonempty, required=True, metavar="FILE", help="the page")
-    explore.add_argument("--car", default="one_mass", help=f"{', '.join(CARS)}, or a named one such as savaresi (%(default)s)")
-    explore.add_argument("--road", help=f"{', '.join(ROADS)}; of two masses iso_a to iso_h (multiplicative, or iso_c)")
+    explore.add_argument("--car", default="one_mass", help=f"{CAR_NAMES} (%(default)s)")
+    explore.add_argument(
+        "--road",
+        help=f"of one mass {ROAD_KINDS} (multiplicative); of two masses iso_a to iso_h (iso_c)",
+    )
     explore.add_argument("--speed-noise", default="none", help=f"none, {', '.join(SPEED_NOISES)} (%(default)s)")
     explore.add_argument(
         "--value",
@@ -218,11 +232,15 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar=("NAME", "NUMBER"),
-        help="first damping, frequency_ratio, bandwidth, shape, intensity, corner_frequency, damping_min, damping_max; "
-        "of two masses sprung_mass, unsprung_mass, spring_rate, tyre_rate, kilometres_per_hour",
+        help="first damping, damping_min or damping_max; of one mass frequency_ratio, bandwidth, shape, intensity or "
+        "corner_frequency; of two masses sprung_mass, unsprung_mass, spring_rate, tyre_rate or kilometres_per_hour",
     )
     explore.add_argument(
-        "--weights", type=weights, metavar="NAME=WEIGHT,...", help="weights of the cost (displacement=1; acceleration=1)"
+        "--weights",
+        type=weights,
+        metavar="NAME=WEIGHT,...",
+        help=f"weights of the cost, of one mass of {', '.join(QuarterCar().mean_squares)} (displacement=1); of two masses of "
+        f"{', '.join(TwoMassCar().mean_squares)} (acceleration=1)",
     )
 
     errata = _command(
