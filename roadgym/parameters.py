@@ -38,6 +38,10 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "damping": Range(1e-3, 100.0, "damping ratio D of a plant that is driven, 1"),
         "constant damping": Range(1e-6, 1e6, "damping ratio D in closed forms, 1"),
         "free damping": Range(0.0, 1e12, "damping ratio D of the free motion, 1"),
+        "mass": Range(1e-6, 1e9, "of the body and of the wheel, kg"),
+        "rate": Range(1e-12, 1e15, "of a spring and of a tyre, N/m"),
+        "damping coefficient": Range(1e-9, 1e12, "c of the damper, N s/m"),
+        "tyre_damping": Range(0.0, 1e12, "c_t of the tyre, N s/m"),
         # roads
         "wavenumber": Range(1e-6, 1e6, "Omega of a road, rad/m"),
         "length": Range(1e-6, 1e6, "amplitude mu and bounds z0, u0 of a road, m"),
@@ -187,8 +191,7 @@ def positive_range(name: str, value: Any, of: str | None = None) -> tuple[float,
     def check(what: str, end: Any) -> float:
         return positive(what, end) if of is None else within(what, end, of)
 
-    listed = isinstance(value, Sequence) and not isinstance(value, (str, bytes, bytearray))
-    if not listed and not (type(value) is np.ndarray and value.ndim):
+    if not _listed(value):
         single = check(name, value)
         return single, single
     if len(value) != 2:
@@ -197,6 +200,20 @@ def positive_range(name: str, value: Any, of: str | None = None) -> tuple[float,
     if low > high:
         raise ParameterError(f"{name} must be a pair (low, high) with low <= high, got {shown(value)}")
     return low, high
+
+
+def pair(name: str, value: Any, of: str) -> tuple[float, float]:
+    """``(low, high)`` with low < high, from a pair, both in the range that ``of`` names."""
+    low, high = positive_range(name, value, of) if _listed(value) and len(value) == 2 else (0.0, 0.0)
+    if low == high:
+        raise ParameterError(f"{name} must be a pair (low, high) with low < high, got {shown(value)}")
+    return low, high
+
+
+def _listed(value: Any) -> bool:
+    """Is it a sequence of its own entries, or an array of some?"""
+    listed = isinstance(value, Sequence) and not isinstance(value, (str, bytes, bytearray))
+    return listed or (type(value) is np.ndarray and value.ndim > 0)
 
 
 def whole(name: str, value: Any, *, low: int = 1, of: str | None = None) -> int:

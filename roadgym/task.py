@@ -14,7 +14,7 @@ from gymnasium import spaces
 from .cars import Car, make_car
 from .compiled import LaneFunction
 from .moved import moved
-from .parameters import ParameterError, check_ratio, non_negative, positive, positive_range, shown, whole, within
+from .parameters import ParameterError, check_ratio, non_negative, pair, positive, positive_range, shown, whole, within
 from .record import OBSERVED
 from .resolution import needed_precision, needed_substeps
 from .reward import asked_signals, check_weights, cost_unit, divergence_cause, divergent_terms
@@ -285,9 +285,7 @@ def make_task(
         for end in bandwidths:
             the_road.with_bandwidth(end)  # which a road may refuse
     damping_range = the_car.default_damping_range if damping_range is None else damping_range
-    damping = positive_range("damping_range", damping_range, "damping")
-    if damping[0] == damping[1]:
-        raise ParameterError(f"damping_range must be a pair (low, high) with low < high, got {shown(damping_range)}")
+    damping = pair("damping_range", damping_range, "damping")
     weights = check_weights(the_car.default_reward if reward is None else reward, the_car, the_road, noise)
 
     observable = _observable(the_car, the_road, noise, bandwidths)

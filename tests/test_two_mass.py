@@ -203,6 +203,12 @@ def test_the_specification_survives_json():
     [
         ({"damping_coefficients": [3000, 200]}, r"damping_coefficients must be .*\[3000, 200\]"),
         ({"damping_coefficients": [300, 300]}, "damping_coefficients must be a pair .* low < high"),
+        ({"damping_coefficients": "ab"}, "damping_coefficients must be a pair .* low < high, got 'ab'"),
+        ({"damping_coefficients": [1, 2, 3]}, "damping_coefficients must be a pair"),
+        ({"damping_coefficients": [1, 1e300]}, "damping_coefficients, high end, must lie within"),
+        ({"sprung_mass": 1e12}, r"sprung_mass must lie within \[1e-06, 1e\+09\], got 1000000000000.0"),
+        ({"tyre_rate": 1e300}, r"tyre_rate must lie within \[1e-12, 1e\+15\], got 1e\+300"),
+        ({"tyre_damping": 1e300}, "tyre_damping must lie within"),
         ({"tyre_damping": -1}, "tyre_damping must not be negative, got -1"),
         ({"unsprung_mass": "heavy"}, "unsprung_mass must be a number, got 'heavy'"),
         ({"mass_ratio": 0.1}, "car 'two_mass' needs stiffness_ratio beside 'mass_ratio'"),
@@ -212,6 +218,14 @@ def test_the_specification_survives_json():
 def test_cars_that_are_none(parameters, message):
     with pytest.raises(ParameterError, match=message):
         make_car({"kind": "two_mass", **parameters})
+
+
+@pytest.mark.parametrize("value", ["x", None, [1.0, math.nan]])
+def test_damping_that_is_no_number(value):
+    with pytest.raises(ParameterError, match=r"^damping_coefficient must be"):
+        CAR.damping_ratio(value)
+    with pytest.raises(ParameterError, match=r"^damping_ratio must be"):
+        CAR.damping_coefficient(value)
 
 
 def test_a_comparison_is_told_as_people_speak_of_cars(tmp_path):

@@ -22,13 +22,20 @@ import numpy.typing as npt
 
 from ..comfort import WEIGHTED, check_weighting, weighted
 from ..linear import Motion, Signal
-from ..parameters import ParameterError, non_negative, positive, positive_range, shown
+from ..parameters import number_array, pair, positive, within
 from .linear import LinearCar
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
     from ..drawing import Canvas
 
 GRAVITY = 9.81  # m/s^2
+RANGE_OF = {  # in `roadgym.parameters.RANGES`, by parameter
+    "sprung_mass": "mass",
+    "unsprung_mass": "mass",
+    "spring_rate": "rate",
+    "tyre_rate": "rate",
+    "tyre_damping": "tyre_damping",
+}
 
 
 @functools.cache
@@ -96,14 +103,9 @@ class TwoMassCar(LinearCar):
     starts_on_road: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        for name in ("sprung_mass", "unsprung_mass", "spring_rate", "tyre_rate"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
-        object.__setattr__(self, "tyre_damping", non_negative("tyre_damping", self.tyre_damping))
-        ends = positive_range("damping_coefficients", self.damping_coefficients)
-        if not ends[0] < ends[1]:
-            raise ParameterError(
-                f"damping_coefficients must be a pair (low, high) with low < high, got {shown(self.damping_coefficients)}"
-            )
+        for name, of in RANGE_OF.items():
+            object.__setattr__(self, name, within(name, getattr(self, name), of))
+        ends = pair("damping_coefficients", self.damping_coefficients, "damping coefficient")
         object.__setattr__(self, "damping_coefficients", ends)
         if self.weighting is not None:
             check_weighting(self.weighting)
@@ -127,8 +129,8 @@ class TwoMassCar(LinearCar):
             damping_range: smallest and largest damping ratio D, 1.
             sprung_mass: m_s, kg; by default forces are per kilogram of it.
         """
-        mass, w1 = positive("sprung_mass", sprung_mass), positive("natural_frequency", natural_frequency)
-        low, high = positive_range("damping_range", damping_range)
+        mass, w1 = within("sprung_mass", sprung_mass, "mass"), within("natural_frequency", natural_frequency)
+        low, high = pair("damping_range", damping_range, "damping")
         return cls(
             sprung_mass=mass,
             unsprung_mass=positive("mass_ratio", mass_ratio) * mass,
@@ -176,12 +178,20 @@ class TwoMassCar(LinearCar):
         return 2 * math.sqrt(self.spring_rate * self.sprung_mass)
 
     def damping_coefficient(self, damping_ratio: npt.ArrayLike) -> Any:
-        """c = 2 D sqrt(k_s m_s), N s/m, of damping ratios D, 1, in their shape."""
-        return np.asarray(damping_ratio, float)[()] * self.damping_unit
+        """c = 2 D sqrt(k_s m_s), N s/m, of damping ratios D, 1, in their shape.
+
+        Raises:
+            ParameterError: no finite numbers.
+        """
+        return number_array("damping_ratio", damping_ratio)[()] * self.damping_unit
 
     def damping_ratio(self, damping_coefficient: npt.ArrayLike) -> Any:
-        """D = c/(2 sqrt(k_s m_s)), 1, of damping coefficients c, N s/m, in their shape."""
-        return np.asarray(damping_coefficient, float)[()] / self.damping_unit
+        """D = c/(2 sqrt(k_s m_s)), 1, of damping coefficients c, N s/m, in their shape.
+
+        Raises:
+            ParameterError: no finite numbers.
+        """
+        return number_array("damping_coefficient", damping_coefficient)[()] / self.damping_unit
 
     def draw(self, canvas: Canvas) -> None:
         """Draw the car; its tyre is flat where it is pressed, and round where the wheel has left the road."""
