@@ -236,14 +236,14 @@ def write(comparison: Comparison, folder: str | Path, report: Callable[[str, int
     from .figures import draw_figures
 
     path = make_folder(folder)
-    figures = draw_figures(comparison, path, report)
     contents = {
-        "comparison.html": make_report(comparison, figures),
         "comparison.json": comparison.to_json(),
         "comparison.csv": comparison.to_csv(),
         "comparison.txt": table(comparison) + "\n",
     }
-    for name, content in contents.items():
+    for name, content in contents.items():  # the numbers first, whatever becomes of the pictures
         write_atomically(path / name, content)
+    figures = draw_figures(comparison, path, report)
+    write_atomically(path / "comparison.html", make_report(comparison, figures))
     drawn = [file for figure in figures for file in (figure.path, figure.narrow) if file is not None]
-    return [*(path / name for name in contents), *drawn]
+    return [path / "comparison.html", *(path / name for name in contents), *drawn]

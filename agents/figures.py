@@ -128,7 +128,9 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
         axis.set_yscale("log")
         if in_si(task):
             plain_ticks(axis.yaxis)
-        axis.set_title(f"bandwidth $\\delta = {bandwidth:g}$" if bandwidth else task.road.kind)
+        named = comparison.configuration["environment"].get("road")
+        road = named if isinstance(named, str) else task.road.kind
+        axis.set_title(f"bandwidth $\\delta = {bandwidth:g}$" if bandwidth else road)
         axis.grid(visible=True, which="both", linewidth=0.3)
     for axis in axes[-1:] if narrow else axes:
         axis.set_xlabel(speed_label(task))

@@ -20,7 +20,7 @@ from .evaluation import Predictor
 from .features import has_lookahead
 from .names import CONTROLLERS_SHOWN, title
 from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
-from .units import KILOMETRES_PER_HOUR, in_si, place, root, shown, unit
+from .units import KILOMETRES_PER_HOUR, column, in_si, place, root, shown, unit
 from .units import weighted as weighted
 
 TEMPLATE = Path(__file__).with_name("report.html")
@@ -224,7 +224,7 @@ def _roots(comparison: Comparison) -> list[str]:
     rows = [comparison.row(name, point) for name in comparison.controllers]
     columns = [["", "", *(title(row.controller) for row in rows)]]
     for name in shown(task):
-        cells = [f"{root(task, name, row.squares[name]):.4g}" for row in rows]
+        cells = column([root(task, name, row.squares[name]) for row in rows])
         columns.append([name.replace("_", " ").replace("acceleration", "accel."), unit(task, name)[0], *cells])
     widths = [max(map(len, column)) for column in columns]
     while sum(widths) + 2 * (len(widths) - 1) > WIDTH and len(widths) > 2:
@@ -243,7 +243,7 @@ def _laid_out(name: str, columns: Sequence[tuple[str, Sequence[str]]]) -> list[s
     cells = [[cell.rjust(len(label)) for cell in column] for label, column in zip(labels, cells, strict=True)]
     body = ["  ".join(line) for line in zip(*cells, strict=True)]
     under = "  ".join(label.rjust(len(column[0])) for label, column in zip(labels, cells, strict=True))
-    width = max(len(under), len("lookahead")) if name and len(columns) == 1 else len(under)
+    width = max(len(under), *map(len, name.split())) if name and len(columns) == 1 else len(under)
     head = textwrap.wrap(name, width) if name else []
     place = str.rjust if len(columns) == 1 else str.center
     return [*(place(line, width) for line in head), *(line.rjust(width) for line in [under, *body])]
@@ -286,8 +286,8 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
         head, values = name.replace("_", " "), [row.squares[name] for row in rows]
         if in_si(task):
             head, values = f"{head}, {unit(task, name)[0]}", [root(task, name, value) for value in values]
-        shape = ".4g" if in_si(task) else ".4f"
-        squares[head] = [f"{value:{shape}}" if np.isfinite(value) else "infinite" for value in values]
+        told = [f"{value:.4f}" if np.isfinite(value) else "infinite" for value in values]
+        squares[head] = column(values) if in_si(task) else told
     found = []
     for columns in (costs, squares):
         cells = list(zip(*map(aligned, columns.values()), strict=True))

@@ -20,7 +20,7 @@ from .figure_style import STYLES, Report, plain_ticks, save_figure, style
 from .names import figure_label, title
 from .results import Comparison
 from .theory import road_at
-from .units import in_si, place, root, unit
+from .units import in_si, place, root, shown, unit
 
 with needs("report"):
     from matplotlib.figure import Figure
@@ -31,7 +31,7 @@ FRONT = (0.1, 0.3, 1.0, 3.0, 10.0)  # factors of the first weight along the fron
 def trade_off(task: Task) -> list[str]:
     """The two mean squares of `draw_pareto`: the first two that are weighed; of a car in SI at least comfort and grip."""
     weighed = list(task.reward_by_name)
-    beside = ["wheel_load"] if in_si(task) and len(weighed) == 1 and "wheel_load" in task.car.mean_squares else []
+    beside = ["wheel_load"] if in_si(task) and len(weighed) == 1 and "wheel_load" in shown(task) else []
     return [*weighed[:2], *(name for name in beside if name not in weighed)]
 
 
@@ -127,4 +127,5 @@ def draw_pareto(comparison: Comparison, path: Path, report: Report | None) -> st
             plain_ticks(side)
     figure.legend(loc="outside right upper", fontsize=8)
     save_figure(figure, path)
-    return f"{names[0]} against {names[1]} at {place(task, point)}: lower and further left is better in both."
+    one, other = (name.replace("_", " ") for name in names)
+    return f"{one} against {other} at {place(task, point)}: lower and further left is better in both."

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
+from roadgym.reward import divergent_terms
 from roadgym.task import Task
 
 from .evaluation import OperatingPoint
@@ -42,8 +44,16 @@ def root(task: Task, name: str, square: float) -> float:
 
 
 def shown(task: Task) -> list[str]:
-    """The signals that say what a drive in a car in SI is like, in order."""
-    return [name for name in SHOWN if name in task.car.mean_squares]
+    """The signals that say what a drive in a car in SI is like, in order, as far as they are finite."""
+    infinite = divergent_terms(task.car, task.road, task.speed_noise)
+    return [name for name in SHOWN if name in task.car.mean_squares and name not in infinite]
+
+
+def column(values: Sequence[float]) -> list[str]:
+    """Figures in one form, so that the least has three digits."""
+    finite = [abs(value) for value in values if math.isfinite(value) and value]
+    decimals = max(0, 2 - math.floor(math.log10(min(finite)))) if finite else 0
+    return [f"{value:.{decimals}f}" if math.isfinite(value) else "infinite" for value in values]
 
 
 def squared(task: Task, name: str) -> str:
@@ -56,7 +66,7 @@ def weighted(task: Task) -> str:
     """The cost in words."""
 
     def term(name: str, weight: float) -> str:
-        told = f"{name}, {squared(task, name)}" if in_si(task) else name
+        told = f"{name.replace('_', ' ')} in {squared(task, name)}" if in_si(task) else name
         return (f"{weight:g} " if weight != 1 else "") + told
 
     return " + ".join(term(name, weight) for name, weight in task.reward_by_name.items())

@@ -87,6 +87,9 @@ def certify(
     speed, damping = within("speed", speed, "moving speed"), within("damping", damping)
     the_car = make_car(car, natural_frequency)
     check_plant(road, speed_noise, (speed / 2, 2 * speed), the_car.natural_frequency)
+    if driver is not None and (speed_noise is not None or road.shaping_filter() is None):
+        plant = f"a {road.kind} road" if speed_noise is None else f"{speed_noise.kind} speed noise"
+        raise ParameterError(f"driver must be None on {plant}, where theory does not know what it makes of the plant")
     whole("seed", seed, low=0, of="seed")
     if whole("lanes", lanes, of="lanes") < FEWEST_LANES:
         raise ParameterError(f"lanes must be at least {FEWEST_LANES} to have a standard error, got {lanes}")

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov, solve_discrete_lyapunov
 
+import agents
 import analysis
 import roadgym
+from agents.cli import main
 from agents.comparison import compare, write
 from agents.comparison import table as comparison_table
 from roadgym import FirstOrderRoad, ParameterError, TwoMassCar
@@ -237,7 +239,7 @@ def test_a_comparison_is_told_as_people_speak_of_cars(tmp_path):
     assert max(map(len, text.splitlines())) <= 80
     assert "m/s  km/h" in text
     assert re.search(r"^ 25 +90 ", text, re.MULTILINE)
-    assert "mean square of acceleration, (m/s²)²" in text
+    assert "mean square of acceleration in (m/s²)²" in text
     assert not re.search(r"\bnu\b|E Z\^2", text)
     # theory at the middle point that is shown, the last of two
     best = analysis.optimal_damping("iso_c", car="two_mass", speed=25.0, weights={"acceleration": 1.0})
@@ -253,3 +255,31 @@ def test_a_comparison_is_told_as_people_speak_of_cars(tmp_path):
     assert "travel, mm" in page
     assert "25 m/s, 90 km/h" in page
     assert {"root_mean_squares.png", "pareto.png"} <= {file.name for file in tmp_path.iterdir()}
+
+
+def test_what_is_infinite_is_left_out_of_what_a_drive_is_like(tmp_path):
+    """The force of a tyre with a damper, where the road's slope is white noise; the numbers are written before the pictures."""
+    car = {"kind": "two_mass", "tyre_damping": 100.0}
+    options = {"speeds": [20.0], "episodes": 16, "controllers": ("d_min",)}
+    comparison = compare(None, environment={"car": car, "road": "iso_c", "speed": 20.0, "control_interval": 0.02}, **options)
+    assert "wheel load" not in comparison_table(comparison).partition("D:")[0]
+    files = {file.name for file in write(comparison, tmp_path)}
+    assert {"comparison.html", "comparison.json", "root_mean_squares.png"} <= files
+    assert "pareto.png" not in files
+
+
+def test_certify_takes_the_plant_that_two_masses_usually_have(capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("analysis.certification.certify", lambda road, **rest: asked.append((road, rest)) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["certify", "--car", "savaresi"])
+    with pytest.raises(ZeroDivisionError):
+        main(["certify"])
+    assert [(road, rest["speed"]) for road, rest in asked] == [("iso_c", 20.0), ("multiplicative", 1.0)]
+
+
+def test_no_controller_is_passed_over_by_a_certificate():
+    road = roadgym.ProfileRoad(heights=tuple(0.01 * np.sin(np.arange(80.0) ** 2)), spacing=0.5)
+    driver = agents.make_controller("skyhook", make_task(car="two_mass", road="iso_c", speed=20.0))
+    with pytest.raises(ParameterError, match="driver must be None on a profile road"):
+        analysis.certify(road, car="two_mass", speed=20.0, lanes=1024, driver=driver)

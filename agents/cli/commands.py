@@ -323,7 +323,7 @@ def run_drive(chosen: argparse.Namespace) -> None:
         found.append((chosen.versus, find_rival(chosen.versus)))
     agents = [agent for _, agent in found if agent]
     if agents:
-        refuse_environment(chosen)
+        refuse_environment(chosen, "--agent" if chosen.agent else "--versus")
     else:
         refuse_observation(chosen)
     environment = agents[0].description["environment"] if agents else environment_from(chosen)

@@ -67,7 +67,7 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
             "help": f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind",
         },
     ),
-    "speed": ("--speed-range", RANGE | {"help": "range of speeds, m/s (0.5 3.2; of two masses 15 25)"}),
+    "speed": ("--speed-range", RANGE | {"nargs": "+", "help": "range of speeds, or one, m/s (0.5 3.2; of two masses 15 25)"}),
     "bandwidth": ("--bandwidth-range", RANGE | {"help": "range of bandwidths (0.05 0.5)"}),
     "damping_range": ("--damping-range", RANGE | {"help": "range of the action (the car's, 0.05 1)"}),
     "reward": (
@@ -168,6 +168,8 @@ def given_environment(chosen: argparse.Namespace) -> dict[str, Any]:
     """The parameters of the environment that are given, in the order of `ENVIRONMENT`."""
     found = {parameter: getattr(chosen, f"environment_{parameter}") for parameter in ENVIRONMENT}
     given = {parameter: value for parameter, value in found.items() if value is not None}
+    if len(given.get("speed", ())) == 1:
+        given["speed"] = 2 * given["speed"]
     return given | {"road": ROADS.lasting(given["road"])} if "road" in given else given
 
 
@@ -202,9 +204,9 @@ def refuse(chosen: argparse.Namespace, names: Iterable[str], why: str) -> None:
             raise ParameterError(f"{option} cannot be given {why}")
 
 
-def refuse_environment(chosen: argparse.Namespace) -> None:
-    """With an agent the environment is given."""
-    refuse(chosen, (f"environment_{name}" for name in ENVIRONMENT), "with --agent: the agent's environment holds")
+def refuse_environment(chosen: argparse.Namespace, option: str = "--agent") -> None:
+    """With an agent, which an option names, the environment is given."""
+    refuse(chosen, (f"environment_{name}" for name in ENVIRONMENT), f"with {option}: the agent's environment holds")
 
 
 def refuse_observation(chosen: argparse.Namespace) -> None:

@@ -146,13 +146,14 @@ def make_parser() -> argparse.ArgumentParser:
     certify.add_argument(
         "--road",
         type=component,
-        default="multiplicative",
-        help=f"{ROAD_NAMES}, a file of a profile, or a JSON mapping (%(default)s)",
+        help=f"{ROAD_NAMES}, a file of a profile, or a JSON mapping (multiplicative; of two masses iso_c)",
     )
     certify.add_argument(
         "--speed-noise", type=component, help=f"{', '.join(SPEED_NOISES)}, or a JSON mapping with the key kind (none)"
     )
-    certify.add_argument("--speed", type=float, default=1.0, metavar="V", help="speed, m/s (%(default)s)")
+    certify.add_argument(
+        "--speed", type=float, metavar="V", help="speed, m/s (1; of two masses 20; with --agent the middle of its range)"
+    )
     certify.add_argument("--damping", type=float, default=0.3, metavar="D", help="damping ratio (%(default)s)")
     certify.add_argument("--car", **ENVIRONMENT["car"][1])
     certify.add_argument("--natural-frequency", **ENVIRONMENT["natural_frequency"][1])

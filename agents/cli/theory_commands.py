@@ -8,7 +8,10 @@ import json
 import sys
 from typing import Any
 
+import numpy as np
+
 from roadgym import ParameterError
+from roadgym.cars import make_car
 from roadgym.installation import require
 
 from .options import refuse
@@ -20,7 +23,12 @@ def run_certify(chosen: argparse.Namespace) -> int:
 
     from ..progress import work_progress
 
+    usual = make_car(chosen.car, chosen.natural_frequency).usual_plant
     plant = {name: getattr(chosen, name) for name in ("road", "speed_noise", "natural_frequency", "car")}
+    if chosen.road is None:
+        plant["road"] = usual.get("road", "multiplicative")
+    if chosen.speed is None and not chosen.agent:
+        chosen.speed = float(np.mean(usual.get("speed", 1.0)))
     driver = None
     if chosen.agent or chosen.controller:
         driver, plant = _driver(chosen, plant)
@@ -49,6 +57,8 @@ def _driver(chosen: argparse.Namespace, plant: dict[str, Any]) -> tuple[Any, dic
         refuse(chosen, plant, "with --agent: the agent's environment holds")
         agent = load(chosen.agent)
         task = agent.task
+        if chosen.speed is None:
+            chosen.speed = sum(task.speed) / 2
         if not task.speed[0] <= chosen.speed <= task.speed[1]:
             low, high = task.speed
             raise ParameterError(f"speed must lie within the agent's range [{low:g}, {high:g}], got {chosen.speed:g}")

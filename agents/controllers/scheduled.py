@@ -181,7 +181,9 @@ class OptimalFeedback(Scheduled):
     def make_forms(self, ratio: float, bandwidth: float) -> analysis.Feedback:
         """The feedback at this operating point."""
         task, report = self.task, self.report
-        what = f"optimal feedback at nu = {ratio:.3g}" + (f", delta = {bandwidth:.3g}" if bandwidth else "")
+        speed = ratio * task.speed_unit
+        where = f"nu = {ratio:.3g}" if task.car.cost_unit is None else f"{speed:.3g} m/s"
+        what = f"optimal feedback at {where}" + (f", delta = {bandwidth:.3g}" if bandwidth else "")
         return analysis.optimal_feedback(
             road_at(task, float(f"{bandwidth:.6g}")),
             # observed in single precision: six digits make neighbouring roundings one operating point, and one file
