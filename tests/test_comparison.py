@@ -284,7 +284,7 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys, monkeypatch):
         assert run("compare", "--output", tmp_path / "full", "--agent", output / "agent-0", *compared) == 2
     printed = capsys.readouterr()
     assert printed.out == first
-    assert printed.err.splitlines()[-1] == f"roadgym compare: cannot use 'comparison.html': {os.strerror(errno.ENOSPC)}"
+    assert printed.err.splitlines()[-1] == f"roadgym compare: cannot use 'comparison.json': {os.strerror(errno.ENOSPC)}"
     # the same command again finds its agent trained, and says the same
     assert run("compare", "--output", output, "--hyperparameters", hyperparameters, *compared) == 0
     assert capsys.readouterr().out == first

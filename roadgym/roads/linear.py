@@ -42,6 +42,18 @@ TERMS = 14  # of Taylor's series over a part of the angle in which no rate turns
 
 
 @compiled
+def product(one: Any, other: Any, target: Any) -> None:
+    """Set ``target`` to a product of matrices, which are too small for a library's call and its copies."""
+    size = len(one)
+    for i in range(size):
+        for k in range(size):
+            total = 0.0
+            for j in range(size):
+                total += one[i, j] * other[j, k]
+            target[i, k] = total
+
+
+@compiled
 def transition(drift: Any, intensity: Any, angle: Any) -> tuple[Any, Any]:
     """(Phi, Sigma): r(angle) is Phi r(0) plus noise of covariance Sigma; Taylor's series over a part of it, then doubled."""
     size = len(drift)
@@ -52,15 +64,22 @@ def transition(drift: Any, intensity: Any, angle: Any) -> tuple[Any, Any]:
         doublings += 1
     phi, term = np.eye(size), np.eye(size)
     sigma, gain = np.zeros((size, size)), intensity * part
+    moved, spread = np.empty((size, size)), np.empty((size, size))
     for order in range(1, TERMS):
-        term = term @ drift * (part / order)
-        phi = phi + term
-        sigma = sigma + gain
-        moved = drift @ gain
-        gain = (moved + moved.T) * (part / (order + 1))
+        product(term, drift, moved)
+        product(drift, gain, spread)
+        for i in range(size):
+            for k in range(size):
+                term[i, k] = moved[i, k] * (part / order)
+                phi[i, k] += term[i, k]
+                sigma[i, k] += gain[i, k]
+                gain[i, k] = (spread[i, k] + spread[k, i]) * (part / (order + 1))
     for _ in range(doublings):
-        sigma = sigma + phi @ sigma @ phi.T
-        phi = phi @ phi
+        product(phi, sigma, moved)
+        product(moved, phi.T, spread)
+        sigma += spread
+        product(phi, phi, moved)
+        phi[:] = moved
     return phi, sigma
 
 
