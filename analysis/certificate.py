@@ -72,6 +72,26 @@ def table_of(lines: Sequence[Line]) -> list[str]:
     return text
 
 
+def judged(name: str, measured: float, expected: float, error: float, tolerance: float, unit: float | None = None) -> Line:
+    """A figure against what is expected, whose difference has the standard ``error``; the verdict is still to come.
+
+    A sound plant may be off by ``tolerance`` times ``unit``, by default times what is expected.
+    """
+    from scipy.stats import norm
+
+    difference, allowed = measured - expected, tolerance * (expected if unit is None else unit)
+    return Line(
+        name=name,
+        measured=measured,
+        expected=expected,
+        standard_error=error,
+        tolerance=tolerance,
+        distance=difference / error,
+        p_value=float(norm.sf((abs(difference) - allowed) / error) + norm.sf((abs(difference) + allowed) / error)),
+        passed=False,
+    )
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Certificate:
     """All lines of one plant.

@@ -36,7 +36,7 @@ from roadgym.task import check_plant
 
 from .autocovariance import autocovariance as autocovariance
 from .autocovariance import expected_periodogram, no_closed_form
-from .certificate import CAR_TOLERANCE, FALSE_ALARM_RATE, ROAD_TOLERANCE, Certificate, Line
+from .certificate import CAR_TOLERANCE, FALSE_ALARM_RATE, ROAD_TOLERANCE, Certificate, Line, judged
 from .checks import FloatArray
 from .response import mean_squares, needs_simulation
 from .roads import level_bound, marginal_density
@@ -330,24 +330,12 @@ def _moment(
 
     ``uncertainty`` is the relative standard error of what is expected; ``unit`` what errors are relative to, if not to that.
     """
-    from scipy.stats import norm
-
     measured = float(figures.mean())
     # on the harmonic road a figure may be the same in every lane, but for rounding
     unit = expected if unit is None else unit
     least = max(uncertainty, float(np.finfo(np.float64).eps)) * unit
     error = math.hypot(float(figures.std(ddof=1)) / math.sqrt(figures.size), least)
-    difference, allowed = measured - expected, tolerance * unit
-    return Line(
-        name=name,
-        measured=measured,
-        expected=expected,
-        standard_error=error,
-        tolerance=tolerance,
-        distance=difference / error,
-        p_value=float(norm.sf((abs(difference) - allowed) / error) + norm.sf((abs(difference) + allowed) / error)),
-        passed=False,
-    )
+    return judged(name, measured, expected, error, tolerance, unit)
 
 
 def _largest_difference(name: str, test: Any, lanes: float) -> Line:

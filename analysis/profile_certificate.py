@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from roadgym.roads import iso8608
 
-from .certificate import FALSE_ALARM_RATE, Line, table_of, wrapped
+from .certificate import FALSE_ALARM_RATE, Line, judged, table_of, wrapped
 from .roughness import BAND, WAVINESS, WIDEST, expected_iri, fit_iso8608, international_roughness_index, iri_response
 from .spectra import SPREAD, WhittleFit, checked_heights
 
@@ -104,8 +104,8 @@ def certify_profile(
     law, free = found.standard, found.free
     error = mean * law.relative_error
     lines = [
-        _line("roughness G(n0), at waviness 2 (m^3)", law.roughness, mean, error, DENSITY_TOLERANCE),
-        _line("waviness", free.waviness, WAVINESS, free.waviness_error, WAVINESS_TOLERANCE),
+        judged("roughness G(n0), at waviness 2 (m^3)", law.roughness, mean, error, DENSITY_TOLERANCE),
+        judged("waviness", free.waviness, WAVINESS, free.waviness_error, WAVINESS_TOLERANCE),
         _spectrum_line(law.fit),
     ]
     left_out = []
@@ -113,7 +113,7 @@ def certify_profile(
         covariance = 1e6 * iri_response(mean, distance)
         expected = expected_iri(mean, spacing=distance)
         index = international_roughness_index(z, distance)
-        lines.append(_line("IRI (m/km)", index, expected, _index_error(covariance, z.size), DENSITY_TOLERANCE / 2))
+        lines.append(judged("IRI (m/km)", index, expected, _index_error(covariance, z.size), DENSITY_TOLERANCE / 2))
     else:
         left_out.append(f"IRI (heights are {distance:g} m apart, and it asks for {WIDEST:g} m at most)")
     significance = FALSE_ALARM_RATE / len(lines)
@@ -127,23 +127,6 @@ def certify_profile(
             dataclasses.replace(line, passed=line.p_value is not None and line.p_value >= significance) for line in lines
         ),
         left_out=tuple(left_out),
-    )
-
-
-def _line(name: str, measured: float, expected: float, error: float, tolerance: float) -> Line:
-    """A figure against what is expected, to within the relative ``tolerance``."""
-    from scipy.stats import norm
-
-    difference, allowed = measured - expected, tolerance * expected
-    return Line(
-        name=name,
-        measured=measured,
-        expected=expected,
-        standard_error=error,
-        tolerance=tolerance,
-        distance=difference / error,
-        p_value=float(norm.sf((abs(difference) - allowed) / error) + norm.sf((abs(difference) + allowed) / error)),
-        passed=False,
     )
 
 

@@ -23,6 +23,7 @@ needs_browser = pytest.mark.skipif(
     reason=f"no browser: none of {', '.join(BROWSERS)} is on the path, and ROADGYM_BROWSER is not set",
 )
 NODE = shutil.which("node")
+needs_javascript = pytest.mark.skipif(NODE is None and NO_BROWSER, reason="neither node nor a browser is on the path")
 
 # what a user sees, and how one moves the controls
 SEE = """

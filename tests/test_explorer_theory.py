@@ -7,14 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from explorer_page import NO_BROWSER, NODE, components, cost, evaluate, optimum, ratios
+from explorer_page import components, cost, evaluate, needs_javascript, optimum, ratios
 
 import analysis
 import roadgym
 from analysis import explorer
 from roadgym import MEAN_SQUARES, ROADS
-
-needs_javascript = pytest.mark.skipif(NODE is None and NO_BROWSER, reason="neither node nor a browser is on the path")
 
 
 def rounding_of_damping(point, road, noise, best, rounding):

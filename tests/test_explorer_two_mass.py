@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from explorer_page import NO_BROWSER, NODE, SEE, browse, evaluate, needs_browser, shown
+from explorer_page import SEE, browse, evaluate, needs_browser, needs_javascript, shown
 
 import analysis
 import roadgym
@@ -54,7 +54,7 @@ def sample_points():
     return points
 
 
-@pytest.mark.skipif(NODE is None and NO_BROWSER, reason="neither node nor a browser is on the path")
+@needs_javascript
 def test_page_computes_what_python_computes(tmp_path):
     points = sample_points()
     answers = evaluate(tmp_path, f"return {json.dumps(points)}.map(evaluate);")
@@ -74,7 +74,7 @@ def test_page_computes_what_python_computes(tmp_path):
         assert found["frequencies"] == pytest.approx(frequencies.tolist(), rel=1e-6)
 
 
-@pytest.mark.skipif(NODE is None and NO_BROWSER, reason="neither node nor a browser is on the path")
+@needs_javascript
 def test_closed_forms_of_white_velocity(tmp_path):
     """D. Hrovat 1997: what the page draws, where the waves of more than 100 m that the road lacks hardly matter."""
     point = {**explorer.make_view({"car": "two_mass"}), "iso_class": "C"}

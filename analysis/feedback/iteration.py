@@ -142,6 +142,42 @@ def sharing(threads: int) -> Iterator[Share]:
         yield share
 
 
+def settle(
+    apply: Callable[[SingleArray, SingleArray, SingleArray], None],
+    value: SingleArray,
+    centre: int,
+    policy: SingleArray,
+    told: Callable[[float], None],
+    *,
+    sweeps: int = SWEEPS,
+    check: int = CHECK,
+) -> tuple[float, int]:
+    """Apply Bellman's operator until the value changes by the same everywhere: (that change, sweeps).
+
+    Args:
+        apply: called as ``apply(old, new, policy)``: sets the new value, and the policy unless that is empty.
+        value: the tabulated value to begin with, which is overwritten.
+        centre: where in it the relative value is zero.
+        policy: set by the last application.
+        told: called with the share that is done, now and then.
+        sweeps, check: at most as many, and as many between two looks at the change.
+    """
+    old, new = value, np.empty_like(value)
+    done, expected, settled = 0, 0.0, False
+    while not settled and done < sweeps:
+        for _ in range(check):
+            apply(old, new, policy[:0])
+            old, new = new, old
+        done += check
+        change = old - new
+        expected = float(np.mean(change, dtype=float))
+        settled = float(np.std(change, dtype=float)) <= SETTLED * abs(expected)
+        old -= old.flat[centre]  # single precision has its digits where the value is near zero
+        told(done / sweeps)
+    apply(old, new, policy)
+    return expected, done
+
+
 def solve(
     model: Model, shape: npt.NDArray[np.int64], box: FloatArray, share: Share, told: Callable[[float], None]
 ) -> tuple[SingleArray, float, int]:
@@ -149,27 +185,14 @@ def solve(
     rings, rays, size = shape.tolist()
     road, offset, index, weight = model.road_step(rings, rays)
     cell = 2 * box / (size - 1)
-    old = np.zeros((rings * rays, size * size), np.float32)
-    new = np.empty_like(old)
-    policy, none = np.empty((*old.shape, 4), np.float32), np.empty((0, 0, 4), np.float32)
+    value = np.zeros((rings * rays, size * size), np.float32)
+    policy = np.empty((*value.shape, 4), np.float32)
 
-    def apply(target: SingleArray) -> None:
+    def apply(old: SingleArray, new: SingleArray, target: SingleArray) -> None:
         def part(begin: int, end: int) -> None:
             sweep(begin, end, old, new, target, index, weight, offset, road, model.maps, model.gains, model.forms, shape, cell)
 
         share(len(road), part)
 
-    done, expected = 0, 0.0
-    settled = False
-    while not settled and done < SWEEPS:
-        for _ in range(CHECK):
-            apply(none)
-            old, new = new, old
-        done += CHECK
-        change = old - new
-        expected = float(np.mean(change, dtype=float))
-        settled = float(np.std(change, dtype=float)) <= SETTLED * abs(expected)
-        old -= old[0, size * size // 2]  # single precision has its digits where the value is near zero
-        told(done / SWEEPS)
-    apply(policy)
+    expected, done = settle(apply, value, size * size // 2, policy, told)
     return policy.reshape(rings, rays, size, size, 4), expected, done

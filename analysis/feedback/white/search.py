@@ -17,7 +17,7 @@ from roadgym.task import Task
 from ...checks import FloatArray
 from ..driving import Respond, drive
 from ..grid import SingleArray
-from ..iteration import Share, sharing
+from ..iteration import Share, settle, sharing
 from ..policy import Feedback, are_positive, read
 from ..settings import COMPARED, Settings, Told, is_refined
 from .model import COORDINATES, SLOW, Chain, Model, coordinates, white_task
@@ -25,7 +25,7 @@ from .table import respond, spread, sweep
 
 GRIDS = (11, 15, 21)  # nodes of each axis, coarse to fine
 BOX = 5.0  # half the sides of the grid, in root mean squares of the coordinates
-SWEEPS, CHECK, SETTLED = 600, 20, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
+SWEEPS, CHECK = 600, 20  # at most; between two checks
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -139,11 +139,10 @@ def solve(
     cell = 2 * box / (shape - 1)
     shifts = model.shifts / cell[:2]
     planes, total = nodes**2, nodes**4
-    old, new = np.zeros(total, np.float32), np.zeros(total, np.float32)
     tables = np.empty((len(shifts), total), np.float32)
-    policy, none = np.empty((total, 2), np.float32), np.empty((0, 2), np.float32)
+    policy = np.empty((total, 2), np.float32)
 
-    def apply(target: SingleArray) -> None:
+    def apply(old: SingleArray, new: SingleArray, target: SingleArray) -> None:
         for shift, table in zip(shifts, tables, strict=True):
             value, result = old.reshape(planes, -1), table.reshape(planes, -1)
             share(planes, functools.partial(_spread, value, shift, shape, result))
@@ -153,18 +152,7 @@ def solve(
 
         share((planes + 1) // 2, part)
 
-    done, expected, settled = 0, 0.0, False
-    while not settled and done < SWEEPS:
-        for _ in range(CHECK):
-            apply(none)
-            old, new = new, old
-        done += CHECK
-        change = old - new
-        expected = float(np.mean(change, dtype=float))
-        settled = float(np.std(change, dtype=float)) <= SETTLED * abs(expected)
-        old -= old[total // 2]  # single precision has its digits where the value is near zero
-        told(done / SWEEPS)
-    apply(policy)
+    expected, done = settle(apply, np.zeros(total, np.float32), total // 2, policy, told, sweeps=SWEEPS, check=CHECK)
     return np.ascontiguousarray(policy.T).reshape(2, *shape), expected / model.interval, done
 
 
