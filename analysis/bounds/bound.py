@@ -1,0 +1,28 @@
+"""A lower bound of the cost of every controller, and how far it is to be trusted."""
+
+from __future__ import annotations
+
+import dataclasses
+
+PROVED = "proved"
+SOLVED = "proved up to the solver's residual, which is charged"
+STATISTICAL = "statistical"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LowerBound:
+    """No controller whose damping stays within the range costs less than this in the mean, whatever it sees or remembers.
+
+    Attributes:
+        cost: minus the mean reward.
+        method: how it was found.
+        assumption: what it takes for granted, in a few words.
+        rigour: `PROVED`, `SOLVED` or `STATISTICAL`.
+        standard_error: of the cost, where it is statistical.
+    """
+
+    cost: float
+    method: str
+    assumption: str
+    rigour: str
+    standard_error: float = 0.0
