@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from analysis import LowerBound
+from analysis.bounds import METHODS
 from roadgym.installation import needs
 
 from .agent import Agent
@@ -80,6 +82,7 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         )
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
+    found += bound_notes(comparison)
     for name, chosen in comparison.configuration.get("parameters", {}).items():
         values = ", ".join(f"{parameter} = {value:g}" for parameter, value in chosen.items())
         found.append((title(name), f"{values}, which cost least of those tried in the middle of the plant's range."))
@@ -103,6 +106,32 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
             )
         )
     return found
+
+
+def bound_notes(comparison: Comparison) -> list[tuple[str, str]]:
+    """What the lower bounds are, and the shares that they certify, or why there are none."""
+    reasons = dict.fromkeys(bound for bound in comparison.bounds if isinstance(bound, str))
+    missing = f"n/a {'' if comparison.bounded else 'here '}for lack of a lower bound: {'; '.join(reasons)}." if reasons else ""
+    if not comparison.bounded:
+        return [("certified", missing)] if missing else []
+    methods: dict[tuple[str, str, str], int] = {}
+    for bound in comparison.bounds:
+        if isinstance(bound, LowerBound):
+            kind = (METHODS[bound.method].title, bound.rigour, bound.assumption)
+            methods[kind] = methods.get(kind, 0) + 1
+    several = len(methods) > 1
+    told = "; ".join(
+        f"by {method}{f' at {number} of {len(comparison.points)} points' if several else ''}, {rigour}, for {assumption}"
+        for (method, rigour, assumption), number in methods.items()
+    )
+    share = (
+        "share of the way from the best constant D to the lower bound: so much at least of what any controller could save; "
+        f"n/a where that is less than {100 * LEAST_ROOM:g} %."
+    )
+    return [
+        ("lower bound", f"what no controller can beat: {told}."),
+        ("certified", " ".join([share, *filter(None, [missing])])),
+    ]
 
 
 def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]]]]:
@@ -129,7 +158,14 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
             closed = any(comparison.references)
             share = [percent(row.gap_closed if closed else row.gain) for row in rows]
             under.append(("gap closed" if closed else "gain", share))
+        if name in comparison.mean_certified and comparison.bounded:
+            under.append(("certified", [percent(row.certified) for row in rows]))
         found.append((title(name), under))
+    if comparison.bounded:
+        cells = [
+            "n/a" if isinstance(bound, str) else with_error(bound.cost, bound.standard_error) for bound in comparison.bounds
+        ]
+        found.insert(1 + sum(name in first for name in comparison.controllers), ("lower bound", [("cost", cells)]))
     return found
 
 
@@ -195,6 +231,27 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
     return text
 
 
+def mean_share_certified(comparison: Comparison, name: str) -> str | None:
+    """The mean certified share of a controller, and what it is over, in words; None where there is none."""
+    mean = comparison.mean_certified[name]
+    if mean.share is None:
+        return None
+    total = len(mean.points) + len(mean.left_out)
+    over = f"on average over {'all' if not mean.left_out else f'{len(mean.points)} of'} {total} operating points"
+    over = "at the one operating point" if total == 1 else over
+    who = title(name) if name in comparison.agents else f"the {title(name)}"
+    if mean.share.value < 0:
+        return f"Certified: nothing of what any controller could save is saved by {who} ({percent(mean.share)}), {over}."
+    return f"Certified: {who} saves at least {percent(mean.share)} of what any controller could save, {over}."
+
+
+def means(comparison: Comparison) -> list[str]:
+    """What the comparison comes to, in sentences."""
+    certified = [mean_share_certified(comparison, name) for name in comparison.mean_certified]
+    gaps = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
+    return [*gaps, *(sentence for sentence in certified if sentence is not None)]
+
+
 def table(comparison: Comparison) -> str:
     """The comparison as text of `WIDTH` columns: tables one under the other, a line an operating point, and what they show."""
     where, *rest = (_laid_out(name, columns) for name, columns in blocks(comparison))
@@ -212,8 +269,10 @@ def table(comparison: Comparison) -> str:
         text += [*lines, ""]
     if in_si(comparison.task):
         text += [*_roots(comparison), ""]
-    said = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
-    shares = () if comparison.agents else ("gap closed", "gain")  # columns that are on the page alone
+    said = means(comparison)
+    shares = [] if comparison.agents else ["gap closed", "gain"]  # columns that are on the page alone
+    if comparison.bounded and not comparison.mean_certified:
+        shares.append("certified")
     said += [f"{term}: {sentence}" for term, sentence in notes(comparison) if term not in shares]
     return "\n".join(text + [textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said])
 
@@ -281,6 +340,8 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
         costs["gap closed"] = [percent(row.gap_closed) for row in rows]
     else:
         costs["gain"] = [percent(row.gain) for row in rows]
+    if comparison.bounded:
+        costs["certified"] = [percent(row.certified) for row in rows]
     squares = {"switches": [f"{row.switches:.2f}" for row in rows]}
     for name in rows[0].squares:
         head, values = name.replace("_", " "), [row.squares[name] for row in rows]
@@ -355,7 +416,7 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
         cost=weighted(task),
         in_si=in_si(task),
         displacement_alone=list(task.reward_by_name.items()) == [("displacement", 1.0)],
-        means=[mean_gap_closed(comparison, name) for name in comparison.mean_gaps],
+        means=means(comparison),
         controllers=_controllers(comparison),
         points=len(comparison.points),
         episodes=comparison.configuration["episodes"],

@@ -74,7 +74,7 @@ def test_page_says_first_what_was_found_then_how_then_numbers(comparison, tmp_pa
     ]
     places = [page.index(words) for words in order]
     assert places == sorted(places)
-    for term in ("ν", "δ", "D", "cost", "theory", "gap closed", "switches"):
+    for term in ("ν", "δ", "D", "cost", "theory", "gap closed", "lower bound", "certified", "switches"):
         assert f"<dt>{term}</dt>" in page
     for name in ("skyhook", "best constant D", "one-step lookahead"):  # one name, in the list and in both tables
         assert f"<dt>{name}</dt>" in page
@@ -121,8 +121,8 @@ def test_table_reads_in_a_terminal_of_80_columns():
     heads = [line for line in lines if line.lstrip().startswith("nu ")]
     assert len(heads) > 1
     labels = {label for head in heads for label in re.split(r"  +", head.strip())}
-    assert labels == {"nu", "delta", "cost", "gap closed", "D", "theory"}
-    for label in (*labels, "runs/a"):  # each is explained, and nothing else is
+    assert labels == {"nu", "delta", "cost", "gap closed", "certified", "D", "theory"}
+    for label in (*labels, "runs/a", "lower bound"):  # each is explained, and nothing else is
         assert any(line.startswith(f"{label}: ") for line in lines)
     assert "gain" not in text
 
@@ -146,4 +146,13 @@ def test_table_without_agents_and_bandwidth_explains_what_is_there():
     assert [line.split()[0] for line in lines[1:5]] == ["nu", lines[2], "1", "1.5"]
     assert lines[1].startswith(" nu ")
     explained = {line.partition(":")[0] for line in lines if re.match(r"[a-zA-Z][a-zA-Z ]*: ", line)}
-    assert explained == {"nu", "D", "cost", "theory", "less noise"}
+    assert explained == {"nu", "D", "cost", "theory", "lower bound", "less noise"}
+
+
+def test_where_no_bound_is_known_the_table_says_why():
+    noisy = {"road": "harmonic", "speed_noise": "white", "speed": (0.7, 3.0)}
+    text = " ".join(table(compare(None, environment=noisy, speeds=[1.0], episodes=16)).split())
+    assert "certified: n/a here for lack of a lower bound: white noise on the speed." in text
+    assert "lower bound:" not in text.replace("a lower bound:", "")
+    silent = compare(None, environment=noisy, speeds=[1.0], episodes=16, bound="none")
+    assert "certified" not in table(silent)

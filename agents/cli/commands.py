@@ -188,6 +188,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
     from roadgym.parameters import whole
 
     from ..agent import load
+    from ..certified import check_bound
     from ..comparison import AGENT, compare, group_agents, table, write
     from ..progress import work_progress
     from ..records import LOCK, locked, make_folder
@@ -209,6 +210,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)
+    check_bound(chosen.bound)
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
     if seeds:
@@ -230,6 +232,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             controllers=chosen.controllers,
+            bound=chosen.bound,
             **_grid(chosen, environment),
         )
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail

@@ -105,6 +105,13 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
     )
+    compare.add_argument(
+        "--bound",
+        default="fast",
+        metavar="BOUND",
+        help="lower bounds of all controllers to hold the costs against: fast, tight (minutes a point), none, or one method, "
+        "such as matrix_inequality (%(default)s)",
+    )
     add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
     add_environment(compare)
@@ -258,7 +265,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands,
         "cache",
         run_cache,
-        "tell where compiled code and optimal feedbacks are kept, and how much",
+        "tell where compiled code, optimal feedbacks and lower bounds are kept, and how much",
         "roadgym cache --clear",
     )
     cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")

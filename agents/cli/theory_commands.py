@@ -140,6 +140,7 @@ def run_errata(chosen: argparse.Namespace) -> None:
 
 def run_cache(chosen: argparse.Namespace) -> None:
     """``roadgym cache``."""
+    from analysis.bounds import kept_files as kept_bounds
     from analysis.feedback import kept_files
     from roadgym import cache
 
@@ -148,6 +149,7 @@ def run_cache(chosen: argparse.Namespace) -> None:
     places = (
         ("compiled code", cache.compiled_folder(), cache.compiled_files),
         ("optimal feedbacks", cache_folder(), lambda: kept_files(cache_folder())),
+        ("lower bounds", cache_folder(), lambda: kept_bounds(cache_folder())),
     )
     print(f"{'':17}  {'files':>6}  {'MB':>8}  folder")
     for what, folder, find in places:
@@ -155,6 +157,6 @@ def run_cache(chosen: argparse.Namespace) -> None:
         print(f"{what:17}  {len(sizes):6}  {sum(sizes) / 1e6:8.2f}  {folder or 'nowhere: there is no home folder'}")
     if chosen.clear:
         cache.clear_compiled()
-        for path in kept_files(cache_folder()):
+        for path in [*kept_files(cache_folder()), *kept_bounds(cache_folder())]:
             path.unlink(missing_ok=True)
         print("cleared")

@@ -41,6 +41,7 @@ class Method:
     """How a lower bound is found.
 
     Attributes:
+        title: the method in words, after "by".
         refusal: of a task, why there is no such bound, in a few words; None where there is.
         bound: of (task, speed, bandwidth), the bound; it takes ``report``, and those of ``settings``, as keywords.
         quick: does it take a second or two at most?
@@ -48,6 +49,7 @@ class Method:
         revision: of results that are kept; raise it whenever they change. None where they are found sooner than read.
     """
 
+    title: str
     refusal: Callable[[Task], str | None]
     bound: Callable[..., LowerBound]
     quick: bool = True
@@ -56,7 +58,7 @@ class Method:
 
 
 METHODS: dict[str, Method] = {
-    "matrix_inequality": Method(refusal=matrix_inequality.refusal, bound=matrix_inequality.bound),
+    "matrix_inequality": Method(title="a matrix inequality", refusal=matrix_inequality.refusal, bound=matrix_inequality.bound),
 }
 PRESETS: Mapping[str, Callable[[Method], bool]] = MappingProxyType(
     {"fast": lambda method: method.quick, "tight": lambda method: True}

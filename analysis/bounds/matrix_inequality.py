@@ -6,9 +6,9 @@ knows,
 
     u (k v_r - u) >= 0,   k = 2 (D_max - D_min).
 
-The cost c(x, u), weighted squares of signals, is a quadratic form of x and u. Let V = x' P x, whose rate of change in the mean is
-V'(x, u) + <P, W>, with V' = 2 x' P (A x - f u) and the intensity W of the noise. Let there be a multiplier lambda >= 0 such that
-for all x and u
+The cost c(x, u), weighted squares of signals, is a quadratic form of x and u. Let V = x' P x, which in the mean changes at the
+rate V'(x, u) + <P, W>, with V' = 2 x' P (A x - f u) and the intensity W of the noise. Let there be a multiplier lambda >= 0
+such that for all x and u
 
     c(x, u) + V'(x, u) - lambda u (k v_r - u) - r' S r >= 0,                                                           (*)
 
