@@ -110,10 +110,9 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
 
 def bound_notes(comparison: Comparison) -> list[tuple[str, str]]:
     """What the lower bounds are, and the shares that they certify, or why there are none."""
-    reasons = dict.fromkeys(bound for bound in comparison.bounds if isinstance(bound, str))
-    missing = f"n/a {'' if comparison.bounded else 'here '}for lack of a lower bound: {'; '.join(reasons)}." if reasons else ""
+    reasons = "; ".join(dict.fromkeys(bound for bound in comparison.bounds if isinstance(bound, str)))
     if not comparison.bounded:
-        return [("certified", missing)] if missing else []
+        return [("certified", f"n/a here for lack of a lower bound: {reasons}.")] if reasons else []
     methods: dict[tuple[str, str, str], int] = {}
     for bound in comparison.bounds:
         if isinstance(bound, LowerBound):
@@ -128,10 +127,8 @@ def bound_notes(comparison: Comparison) -> list[tuple[str, str]]:
         "share of the way from the best constant D to the lower bound: so much at least of what any controller could save; "
         f"n/a where that is less than {100 * LEAST_ROOM:g} %."
     )
-    return [
-        ("lower bound", f"what no controller can beat: {told}."),
-        ("certified", " ".join([share, *filter(None, [missing])])),
-    ]
+    missing = f" n/a where there is none: {reasons}." if reasons else ""
+    return [("lower bound", f"what no controller can beat: {told}.{missing}"), ("certified", share)]
 
 
 def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]]]]:

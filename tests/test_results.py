@@ -90,7 +90,7 @@ def test_bounds_are_in_json_and_csv_and_what_is_missing_has_its_reason():
     text = table(found)
     assert re.search(r"1  +0\.1 .* 0\.100\(10\)", text)
     assert "2 of 2" not in text
-    assert "n/a for lack of a lower bound: a road of soap." in " ".join(text.split())
+    assert "n/a where there is none: a road of soap." in " ".join(text.split())
 
 
 def test_mean_gap_counts_every_point_that_has_one_and_tells_of_the_others():
