@@ -160,7 +160,8 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
         found.append((title(name), under))
     if comparison.bounded:
         cells = [
-            "n/a" if isinstance(bound, str) else with_error(bound.cost, bound.standard_error) for bound in comparison.bounds
+            "n/a" if isinstance(bound, str) else bound_cell(bound, comparison.row("analytic_optimum", point))
+            for point, bound in zip(points, comparison.bounds, strict=True)
         ]
         found.insert(1 + sum(name in first for name in comparison.controllers), ("lower bound", [("cost", cells)]))
     return found
@@ -323,7 +324,16 @@ def _decimals(value: float, error: float) -> int:
 
 def _theory(row: Row) -> str:
     """The exact cost, with no fewer decimals than the cost as driven has; nothing where there is none."""
-    return "" if row.theory is None else f"{row.theory:.{max(4, _decimals(row.cost, row.standard_error))}f}"
+    return "" if row.theory is None else _exact(row.theory, row)
+
+
+def bound_cell(bound: LowerBound, row: Row) -> str:
+    """A lower bound, with its error, or with no fewer decimals than a driven cost has."""
+    return with_error(bound.cost, bound.standard_error) if bound.standard_error else _exact(bound.cost, row)
+
+
+def _exact(value: float, row: Row) -> str:
+    return f"{value:.{max(4, _decimals(row.cost, row.standard_error))}f}"
 
 
 def _tables(comparison: Comparison) -> list[dict[str, Any]]:
