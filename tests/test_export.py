@@ -213,37 +213,51 @@ def test_c_drives_as_the_agent(kind, tmp_path):
 
 
 @needs_compiler
-def test_observations_are_made_of_what_is_measured(tmp_path):
-    """In SI units, over a car whose signals are told in them."""
-    agent = trained(tmp_path / "a", *KINDS["two_mass"])
+@pytest.mark.parametrize(
+    ("environment", "unit"),
+    [
+        ({"car": "savaresi", "road": "iso_c", "speed": [15, 25]}, "m/s"),  # a car that is told in SI units
+        ({"road": {"kind": "gaussian", "wavenumber": 2.0}, "natural_frequency": 3.0, "speed": [0.7, 2.0]}, "m"),
+    ],
+)
+def test_observations_are_made_of_what_is_measured(environment, unit, tmp_path):
+    agent = trained(tmp_path / "a", "ppo", environment, changes={"features": ["signals", "products"]})
     header = export(agent, "c", tmp_path)[0].read_text()
     compiled(tmp_path, remembers=False)
     library = ctypes.CDLL(str(tmp_path / "batch.so"))
     task = agent.task
-    assert re.search(r"^ \*   velocity +m/s +(\S+)$", header, re.M)
-    assert f"Times {task.car.damping_unit:.9g} it is in N s/m" in header
+    assert re.search(rf"^ \*   velocity +{unit} +\S+$", header, re.M)
+    assert ("a velocity is one in m/s over 3 rad/s" in header) == (unit == "m")
+    assert (f"Times {task.car.damping_unit or 0:.9g} it is in N s/m" in header) == (unit == "m/s")
     assert f"once every {task.control_interval:g} s" in header
     seen = driven(agent)[:, -1]
     measured = (seen * task.signal_scale).astype(np.float32)
-    speed = task.signals.index("speed")
-    measured[:, speed] = seen[:, speed] / (1 - seen[:, speed]) * task.car.natural_frequency / task.road.wavenumber
-    if "slope" in task.signals:
-        measured[:, task.signals.index("slope")] *= task.road.wavenumber
+    for k, name in enumerate(task.signals):
+        if name == "speed":
+            measured[:, k] = seen[:, k] / (1 - seen[:, k]) * task.car.natural_frequency / task.road.wavenumber
+        elif name == "bandwidth":
+            measured[:, k] = seen[:, k] / (1 - seen[:, k]) / 2
+        elif name == "slope":
+            measured[:, k] *= task.road.wavenumber  # dZ/ds
     found = np.empty_like(measured)
     for x, y in zip(measured, found, strict=True):
         library.agent_observe(ctypes.c_void_p(x.ctypes.data), ctypes.c_void_p(y.ctypes.data))
     np.testing.assert_allclose(found, seen, rtol=1e-6, atol=1e-7)
-    assert 15 <= measured[:, speed].min() < measured[:, speed].max() <= 25.001
+    speeds = measured[:, task.signals.index("speed")]
+    assert task.speed[0] * 0.999 < speeds.min() < speeds.max() < task.speed[1] * 1.001
 
 
 @needs_compiler
-def test_damping_lies_in_the_range_whatever_is_seen(ppo, tmp_path):
-    export(ppo[1], "c", tmp_path)
+@pytest.mark.parametrize("kind", ["plain_signals", "squashed"])
+def test_damping_lies_in_the_range_whatever_is_seen(kind, tmp_path):
+    export(trained(tmp_path / "a", *KINDS[kind]), "c", tmp_path)
     answer = compiled(tmp_path, remembers=False)
     bad = [math.nan, math.inf, -math.inf, 3e38, -3e38, 0.0, 1.0]
     observations = np.random.default_rng(3).choice(bad, (500, 1, 6)).astype(np.float32)
     damping = answer(observations)
     assert np.all((damping >= np.float32(0.05)) & (damping <= 1))
+    if kind == "squashed":  # through which no number stays none, to the end
+        assert answer(np.full((1, 1, 6), np.nan))[0, 0] == np.float32(0.05)
 
 
 @needs_compiler
@@ -334,6 +348,9 @@ def test_table_finds_the_signals_and_loses_little(skyhook):
     soft = table.damping[:, :4, -4:], table.damping[:, -4:, :4]
     assert min(part.min() for part in firm) > 0.9
     assert max(part.max() for part in soft) < 0.15
+    np.testing.assert_allclose(table.damping, table.damping[:, ::-1, ::-1], atol=1e-6)  # of the mirrored car the same
+    one = dataclasses.replace(table, damping=np.full((2, 1, 1), 0.6))
+    np.testing.assert_allclose(one.sharpened([1.0, 3.0]).damping.ravel(), [0.6, 0.525 + 3 * 0.075])
 
 
 @needs_compiler

@@ -145,7 +145,7 @@ class OnnxGraph(Writer):
 
 
 def onnx_file(agent: Agent, name: str) -> bytes:
-    """The model, of ``measured``, float32, shape (cars, signals), in the order and units that its metadata tell, to ``damping``,
+    """The model, of ``measured``, float32, shape (cars, signals), in the order and the units of its metadata, to ``damping``,
     shape (cars, 1).
 
     One that remembers takes ``begins`` too, bool, shape (cars, 1), true where an episode begins, and for each input ``NAME`` of

@@ -218,7 +218,7 @@ def tabulate(
 HEADER = """\
 /* {name}_table: the damping ratio over {a} and {b}{of}, a table of a trained agent, by roadgym {version}.
  *
- * On average over the operating points it costs {loss:.3g} of what the agent costs (95 % interval {low:.3g} to {high:.3g}).
+ * On average over the operating points it costs {loss:.4g} of what the agent costs, 95 % interval {low:.4g} to {high:.4g}.
  * Call it every {interval:g} s with {a} in {unit_a}, {b} in {unit_b}{unit_speed}.{damping_unit}{rates}
  */
 #ifndef {NAME}_TABLE_H
