@@ -73,10 +73,10 @@ def chosen_methods(method: str) -> dict[str, Method]:
     Raises:
         ParameterError: another name.
     """
+    if not isinstance(method, str) or method not in {*PRESETS, *METHODS}:
+        raise ParameterError(f"method must be one of {', '.join((*PRESETS, *METHODS))}, got {shown(method)}")
     if method in PRESETS:
         return {name: each for name, each in METHODS.items() if PRESETS[method](each)}
-    if method not in METHODS:
-        raise ParameterError(f"method must be one of {', '.join((*PRESETS, *METHODS))}, got {shown(method)}")
     return {method: METHODS[method]}
 
 
@@ -86,7 +86,12 @@ def refusal(task: Task, method: str = "fast") -> str | None:
     Args:
         task: plant, weights, range of D and control interval.
         method: as of `lower_bound`.
+
+    Raises:
+        ParameterError: no task, or an unknown method.
     """
+    if not isinstance(task, Task):
+        raise ParameterError(f"task must be one that roadgym.task.make_task made, got {shown(task)}")
     reasons = [each.refusal(task) for each in chosen_methods(method).values()]
     return None if None in reasons else "; ".join(dict.fromkeys(reason for reason in reasons if reason is not None))
 
