@@ -15,14 +15,14 @@ from analysis.certificate import FALSE_ALARM_RATE, ROAD_TOLERANCE, wrapped
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import make_task
 
-from .certified import NONE, lower_bounds
+from .certified import NONE, bound_cell, lower_bounds
 from .comparison import compare, observed_in_full
 from .controllers import make_controller
 from .evaluation import Predictor, evaluated_task, make_points
 from .names import title
-from .report import aligned, bound_cell, percent, weighted, with_error
+from .numerals import aligned, percent, with_error
 from .results import Comparison, Row, flat
-from .units import in_si, place
+from .units import in_si, place, weighted
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
