@@ -16,20 +16,18 @@ from .certified import check_bound, lower_bounds
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, tune_controller
 from .evaluation import Predictor, evaluate, evaluated_task
 from .names import name_folders, title
+from .numerals import above, percent, with_error
 from .progress import work_progress
 from .records import lasting, make_folder, plain, versions, write_atomically
 from .report import (
-    above,
     adjusted_by,
     blocks,
     make_report,
     mean_gap_closed,
     notes,
-    percent,
     table,
     theory_given,
     weighted,
-    with_error,
 )
 from .results import (
     CONFIDENCE,
