@@ -26,6 +26,7 @@ from .roads import (
     read_profile,
     sample_road,
 )
+from .sensors import Sensors
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "ProfileRoad",
     "QuarterCar",
     "Road",
+    "Sensors",
     "SpeedNoise",
     "TwoCornerRoad",
     "TwoMassCar",

@@ -55,13 +55,13 @@ from .record import (
     SQUARES,
     STEP,
 )
+from .sensing import advance_sensors, observe_block, start_sensors
 from .signals import (
     add_squares,
     advance_filters,
     clip,
     copy_row,
     new_work,
-    observe_block,
     prepare_filters,
     report_block,
     row_of,
@@ -120,6 +120,8 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
             advance_filters(plant, lanes, work)
         if more:
             add_squares(plant, lanes, work, False)
+        if plant.sensors and purpose == INTERVAL:
+            advance_sensors(plant, lanes, work, counters, k + 1)
         if path != 0:
             rows = pointer(path, lanes)
             for i in range(LANES):
@@ -271,7 +273,7 @@ def step_blocks(
         elif mode == SAME_STEP and ended:
             for i in range(count):
                 due[i] = over[i]
-            observe_block(plant, lanes, work, final_observations, first, count)
+            observe_block(plant, lanes, work, counts, final_observations, first, count)
         if pending or (mode == SAME_STEP and ended):
             restart_due(plant, lanes, counts, due, work, words, nothing_forced, first)
             for i in range(count):
@@ -280,12 +282,13 @@ def step_blocks(
                 if pending and due[i]:
                     results[RESULT_SPEED, first + i] = lanes[SPEED + i] * plant.speed_unit
                     results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
+            start_sensors(plant, lanes, work, counts, due)
             if unsound < 0:
                 unsound = unsound_state(plant, lanes, count, first)
         if mode == NEXT_STEP and ended:
             for i in range(count):
                 counts[PENDING + i] = over[i]
-        observe_block(plant, lanes, work, observations, first, count)
+        observe_block(plant, lanes, work, counts, observations, first, count)
     return unsound
 
 
@@ -324,7 +327,8 @@ def reset_blocks(
         restart_due(plant, lanes, counts, due, work, words, forced, first)
         for i in range(LANES):
             work[DAMPING + i] = plant.damping_low
-        observe_block(plant, lanes, work, observations, first, count)
+        start_sensors(plant, lanes, work, counts, due)
+        observe_block(plant, lanes, work, counts, observations, first, count)
         copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
         copy_row(lanes, SPEED, results, RESULT_SPEED, first, count, plant.speed_unit)
         copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count, 1.0)

@@ -29,9 +29,6 @@ from .compiled import (
     pointer,
 )
 from .record import (
-    OBSERVED_BANDWIDTH,
-    OBSERVED_SIGNAL,
-    OBSERVED_SPEED,
     RESULT_BANDWIDTH,
     RESULT_DAMPING,
     RESULT_SPEED,
@@ -209,32 +206,6 @@ def clip(value: Any, low: Any, high: Any) -> Any:
     """``value`` kept within [low, high]; the built-in min and max would not vectorise here."""
     value = value if value > low else low
     return value if value < high else high
-
-
-@compiled
-def observe_block(plant: Any, lanes: Any, work: Any, observations: Any, first: int, count: int) -> None:
-    """Write what is observed of the first ``count`` lanes to the rows from ``first`` of ``observations``."""
-    one, two = like(lanes, 1.0), like(lanes, 2.0)
-    high = like(lanes, plant.saturation)
-    low = -high
-    observed, number = pointer(plant.observed, np.int64(0)), plant.observations
-    own, target = row_of(work, signal_row(plant)), row_of(observations, first * number)
-    for j in range(number):
-        what, row = observed[j], own
-        if what >= 0:
-            row = row_of(lanes, what)
-        elif what == OBSERVED_SPEED:
-            for i in range(LANES):
-                own[i] = lanes[SPEED + i] / (one + lanes[SPEED + i])
-        elif what == OBSERVED_BANDWIDTH:
-            for i in range(LANES):
-                own[i] = two * lanes[BANDWIDTH + i] / (one + two * lanes[BANDWIDTH + i])
-        else:
-            write_signal(plant, lanes, work, OBSERVED_SIGNAL - what)
-        place = j
-        for i in range(count):
-            target[place] = clip(row[i], low, high)
-            place += number
 
 
 @compiled

@@ -19,6 +19,7 @@ from .record import OBSERVED
 from .resolution import needed_precision, needed_substeps
 from .reward import asked_signals, check_weights, cost_unit, divergence_cause, divergent_terms
 from .roads import Road, make_road
+from .sensors import Sensor, Sensors, make_sensors
 from .speed import SpeedNoise, make_speed_noise
 
 if not TYPE_CHECKING:
@@ -49,6 +50,7 @@ class Task:
         substeps: substeps in a control interval.
         warm_up: time driven at ``warm_up_damping`` before an episode begins, s.
         precision: "float32" or "float64", the format of the state.
+        sensors: through which the signals are observed; None for ideal ones.
     """
 
     road: Road
@@ -64,6 +66,7 @@ class Task:
     warm_up: float
     warm_up_damping: float
     precision: str
+    sensors: Sensors | None
 
     @property
     def reward_by_name(self) -> dict[str, float]:
@@ -117,13 +120,27 @@ class Task:
         accelerations over w1^2 as well. The operating point has scale 1: its entries are nu/(1 + nu) with
         nu = speed * wavenumber / natural_frequency, and 2 delta/(1 + 2 delta).
         """
-        deviation = math.sqrt(self.road.variance)
-        factors = dict(zip(self.car.mean_squares, self.car.unit_factors.tolist(), strict=True))
-        return np.array([1.0 if name in OPERATING_POINT else deviation * factors.get(name, 1.0) for name in self.signals])
+        return signal_scales(self.car, self.road, self.signals)
+
+    @property
+    def real_sensors(self) -> dict[str, Sensor]:
+        """The sensors of observed signals that are not ideal, in the unit of observations, by name of the signal."""
+        if self.sensors is None:
+            return {}
+        scales = zip(self.signals, self.signal_scale.tolist(), strict=True)
+        found = {name: self.sensors.of(name, scale) for name, scale in scales if name not in OPERATING_POINT}
+        return {name: sensor for name, sensor in found.items() if not sensor.ideal}
 
     def frequency_ratio(self, speed: Any) -> Any:
         """nu = speed * wavenumber / natural_frequency."""
         return speed * self.road.wavenumber / self.car.natural_frequency
+
+
+def signal_scales(car: Car, road: Road, names: Sequence[str]) -> npt.NDArray[np.float64]:
+    """`Task.signal_scale` of the signals of these names."""
+    deviation = math.sqrt(road.variance)
+    factors = dict(zip(car.mean_squares, car.unit_factors.tolist(), strict=True))
+    return np.array([1.0 if name in OPERATING_POINT else deviation * factors.get(name, 1.0) for name in names])
 
 
 def signals(car: Car) -> tuple[str, ...]:
@@ -213,6 +230,7 @@ class TaskParameters(TypedDict, total=False):
     warm_up: float
     warm_up_damping: float | None
     precision: str | None
+    sensors: Mapping[str, Any] | Sensors | None
 
 
 def make_task(
@@ -232,6 +250,7 @@ def make_task(
     warm_up: float = 0.0,
     warm_up_damping: float | None = None,
     precision: str | None = None,
+    sensors: Mapping[str, Any] | Sensors | None = None,
 ) -> Task:
     """Check every parameter and fill in the defaults.
 
@@ -260,6 +279,7 @@ def make_task(
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.
         precision: "float32" or "float64"; by default what keeps the mean squares within 1e-4: single precision, but for bounded
             roads that touch their bound, slow roads and cars, and short substeps.
+        sensors: `roadgym.Sensors` through which the signals are observed, or a mapping of its arguments; ideal by default.
 
     Ranges of all of them are in `roadgym.parameters.RANGES`.
 
@@ -333,6 +353,11 @@ def make_task(
         "warm-up substeps",
     )
 
+    the_sensors = make_sensors(sensors)
+    if the_sensors is not None:
+        known = [name for name in observable if name not in OPERATING_POINT]
+        scales = signal_scales(the_car, the_road, known).tolist()
+        the_sensors.check(dict(zip(known, scales, strict=True)), interval, number)
     slowest = speeds[0] * the_road.wavenumber / w1
     if bandwidths[0] > 0:
         loss = bandwidths[0] * slowest * interval * w1 / number
@@ -363,4 +388,5 @@ def make_task(
         warm_up=warm_up,
         warm_up_damping=stiffness,
         precision=precision,
+        sensors=the_sensors,
     )
