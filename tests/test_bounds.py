@@ -11,7 +11,7 @@ import roadgym
 from agents.controllers import make_controller
 from agents.evaluation import evaluate
 from agents.theory import optimum, theoretical_cost
-from analysis.bounds import METHODS, RIGOURS, LowerBound, Method, kept_files, matrix_inequality, refusal
+from analysis.bounds import METHODS, PROVED, RIGOURS, LowerBound, Method, kept_files, matrix_inequality, refusal
 from analysis.quadratic import periodic_mean_squares, plant_system
 from roadgym.parameters import ParameterError
 from roadgym.roads import make_road

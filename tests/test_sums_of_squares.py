@@ -68,6 +68,13 @@ def test_a_higher_degree_gives_more_and_a_damping_that_moves_less():
     assert certificate_of(task, degree=6, held=False).cost < costs[2]
 
 
+def test_behind_a_valve_that_moves_the_damping_within_an_interval_the_bound_is_that_for_any_damping():
+    ideal, late, slow = (bound_of(task_of(valve=valve), degree=4) for valve in (None, {"delay": 0.4}, {"rise_time": 0.1}))
+    assert late == ideal
+    assert slow.cost < ideal.cost
+    assert "acting at any time" in slow.assumption
+
+
 @pytest.mark.parametrize(
     "plant",
     [

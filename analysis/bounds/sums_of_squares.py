@@ -105,7 +105,7 @@ def bound(
     bandwidth: float,
     *,
     degree: int | None = None,
-    held: bool = True,
+    held: bool | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> LowerBound:
     """The bound at an operating point; a second or two.
@@ -116,13 +116,15 @@ def bound(
         bandwidth: 1; 0 where the road has none.
         degree: of V, even, 2 to `HIGHEST`; the higher the tighter, and slower. By default `USUAL`, or less where that has more
             than `LARGEST` monomials.
-        held: False where D may move within an interval, as behind a valve with a lag: then only the bound for this is sought,
-            which else is one of two. The other is sought where the damper does much in an interval.
+        held: does D keep its value within each interval? By default as the task's valve says. Where it does not, only the bound
+            for any D is sought, which else is one of two; the other is sought where the damper does much in an interval.
         report: called as ``report(done, in all)``.
 
     Raises:
         ParameterError: there is none, see `refusal`; or rounding is too large to prove it.
     """
+    if held is None:
+        held = task.valve.is_still(task.control_interval)
     decay = variable_of(task.damping_range, task.control_interval * task.car.natural_frequency)[1]
     forms = [True, False] if held and decay > NOTICED else [False]
     signals = task.car.motion.signals
