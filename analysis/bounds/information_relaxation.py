@@ -56,6 +56,7 @@ from .relaxation.roads import Drives, RoadChain, levels, nearest
 VALUE_GRID = np.array([11, 32, 54])  # rings, rays and rows of w
 ROWS = 72  # of the inner problem's grid
 LEVELS = 17  # of D, all in the refined inner problems and every second one in the others
+LEAST_PATHS = 16  # for which standard errors mean something
 REFINED = 8  # one road in so many is solved again
 CHARGE = 4 / 3  # times what a refinement changes, for errors that fall as the square of the step
 QUARTIC = 0.01  # of the cost of an interval: what h gives way by, at one root mean square of the car
@@ -105,8 +106,8 @@ def bound(
     reason = refusal(task)
     if reason is not None:
         raise ParameterError(f"there is no such bound for this task: {reason}")
-    if whole("paths", paths) < 2 * REFINED:
-        raise ParameterError(f"paths must be at least {2 * REFINED}, got {paths}")
+    if whole("paths", paths) < LEAST_PATHS:
+        raise ParameterError(f"paths must be at least {LEAST_PATHS}, got {paths}")
     whole("intervals", intervals)
     count = processors() if threads is None else whole("threads", threads, of="threads")
 
@@ -154,6 +155,7 @@ class Relaxation:
 
     Attributes:
         driven, driven_error: cost of the feedback that is compared with, and its standard error.
+        bracket: of (*) along that feedback on each road, over its intervals; its mean is the feedback's cost, shape (paths,).
         gaps: of each road, how much less than that feedback a controller pays that is told the road, penalties included; a
             mean over its intervals, shape (paths,).
         changes: what a finer grid and more D add to that, on some of the roads.
@@ -207,7 +209,7 @@ class Relaxation:
             )
             grid = Grid(rows, 2 * box / (rows - 1))
             price = QUARTIC * expected
-            self.gaps = np.empty(paths)
+            self.bracket, self.gaps = np.empty(paths), np.empty(paths)
             changes = np.full(paths, np.nan)
             done = 0
 
@@ -226,7 +228,7 @@ class Relaxation:
                         return float(np.min(beyond + price * quartic(nodes_of(nodes))))
 
                     coarse = least(ROWS, 2)
-                    self.gaps[path] = (coarse - paid) / intervals
+                    self.bracket[path], self.gaps[path] = paid / intervals, (coarse - paid) / intervals
                     if path % REFINED == 0:
                         changes[path] = (least(2 * ROWS - 1, 1) - coarse) / intervals
                     done += 1
