@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import analysis
 from analysis import LowerBound
 from analysis.bounds import PRESETS, chosen_methods, refusal
+from roadgym.installation import InstallationError
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import Task
 
@@ -62,7 +63,7 @@ def lower_bounds(
                     report=told,
                 )
             )
-        except ParameterError as error:
+        except (ParameterError, InstallationError) as error:
             found.append(str(error))
             told(1, 1)
     return tuple(found)

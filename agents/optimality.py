@@ -12,7 +12,7 @@ from typing import Any
 from analysis import LowerBound
 from analysis.bounds import METHODS
 from analysis.certificate import FALSE_ALARM_RATE, ROAD_TOLERANCE, wrapped
-from roadgym.parameters import ParameterError
+from roadgym.parameters import ParameterError, shown
 from roadgym.task import make_task
 
 from .certified import NONE, lower_bounds
@@ -133,9 +133,13 @@ def certify_optimality(
     Raises:
         ParameterError: a parameter out of range, or an unknown controller or method.
     """
+    methods = list(METHODS) if methods is None else methods
+    for name in methods:
+        if name not in METHODS:
+            raise ParameterError(f"methods must be of {', '.join(METHODS)}, got {shown(name)}")
     task = evaluated_task(observed_in_full(environment))
     points = make_points(task, [speed], [bandwidth])
-    bounds = {name: lower_bounds(task, points, name, report)[0] for name in (METHODS if methods is None else methods)}
+    bounds = {name: lower_bounds(task, points, name, report)[0] for name in methods}
     known = {name: bound for name, bound in bounds.items() if isinstance(bound, LowerBound)}
     names = list(controllers)
     with contextlib.suppress(ParameterError):  # where it is not known

@@ -119,6 +119,21 @@ def test_no_damping_that_changes_at_random_beats_the_bound():
         assert sum(weight * squares[name] for name, weight in task.weights_by_name.items()) >= cost
 
 
+class Poor:
+    """A rule behind noisy sensors, a delay of two intervals and a valve that lags; its damping stays in the range."""
+
+    def __init__(self, rule):
+        self.rule, self.task = rule, rule.task
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        generator, queue, valve = state or (np.random.default_rng(3), [], None)
+        noisy = observation.copy()
+        noisy[:, :-2] += 0.1 * generator.standard_normal(noisy[:, :-2].shape).astype(np.float32)  # all but the operating point
+        queue = [*queue, self.rule.predict(noisy)[0]][-3:]
+        valve = queue[0] if valve is None else valve + 0.4 * (queue[0] - valve)
+        return valve, (generator, queue, valve)
+
+
 @pytest.mark.statistical
 @pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
 def test_no_rule_that_is_driven_beats_the_bound(road):
@@ -126,6 +141,7 @@ def test_no_rule_that_is_driven_beats_the_bound(road):
     task = make_task(**environment)
     names = ("skyhook", "one_step_lookahead", "clipped_lqr", "d_min")
     rules = {name: make_controller(name, task) for name in names}
+    rules |= {f"{name}, noisy and late": Poor(rules[name]) for name in names[:2]}
     driven = evaluate(rules, environment=environment, speeds=[0.5, 1.0, 2.0, 4.0], bandwidths=[0.05, 0.5], episodes=32)
     for evaluation in driven.values():
         for k, point in enumerate(evaluation.points):

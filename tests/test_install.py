@@ -24,6 +24,7 @@ EXTRAS = {  # what each brings, by the names that are imported
     "render": ("pygame", "PIL", "imageio_ffmpeg"),
     "tune": ("optuna",),
     "recurrent": ("sb3_contrib",),
+    "bounds": ("clarabel",),
 }
 PLAIN = f"""
 import sys

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from roadgym.installation import InstallationError
 from roadgym.parameters import ParameterError, shown, whole, within
 from roadgym.task import Task
 
@@ -72,10 +73,10 @@ def chosen_methods(method: str) -> dict[str, Method]:
     Raises:
         ParameterError: another name.
     """
+    if not isinstance(method, str) or method not in {*PRESETS, *METHODS}:
+        raise ParameterError(f"method must be one of {', '.join((*PRESETS, *METHODS))}, got {shown(method)}")
     if method in PRESETS:
         return {name: each for name, each in METHODS.items() if PRESETS[method](each)}
-    if method not in METHODS:
-        raise ParameterError(f"method must be one of {', '.join((*PRESETS, *METHODS))}, got {shown(method)}")
     return {method: METHODS[method]}
 
 
@@ -85,7 +86,12 @@ def refusal(task: Task, method: str = "fast") -> str | None:
     Args:
         task: plant, weights, range of D and control interval.
         method: as of `lower_bound`.
+
+    Raises:
+        ParameterError: no task, or an unknown method.
     """
+    if not isinstance(task, Task):
+        raise ParameterError(f"task must be one that roadgym.task.make_task made, got {shown(task)}")
     reasons = [each.refusal(task) for each in chosen_methods(method).values()]
     return None if None in reasons else "; ".join(dict.fromkeys(reason for reason in reasons if reason is not None))
 
@@ -110,7 +116,7 @@ def lower_bound(
         speed: m/s; not needed where the task has one alone.
         bandwidth: 1, likewise; in place of the road's, at the same variance.
         method: a name of `METHODS`; or "fast", the largest of those that take a second or two at most; or "tight", the largest
-            of all.
+            of all. These pass over methods whose package is not installed.
         seed: fixes the noise of statistical bounds.
         threads: number of threads; results do not depend on it. By default one a processor.
         cache: folder in which bounds that took time are kept, and found again when all parameters are the same; it is made if
@@ -119,6 +125,7 @@ def lower_bound(
 
     Raises:
         ParameterError: a parameter out of range, or a task for which there is no such bound, with the reason.
+        InstallationError: the solver that a method needs is not installed.
     """
     reason = refusal(task, method)
     if reason is not None:
@@ -134,13 +141,13 @@ def lower_bound(
     }
     methods = {name: each for name, each in chosen_methods(method).items() if each.refusal(task) is None}
     found: list[LowerBound] = []
-    failed: list[ParameterError] = []
+    failed: list[ParameterError | InstallationError] = []
     for turn, (name, each) in enumerate(methods.items()):
         told = _turn(report, turn, len(methods))
         settings = {setting: given[setting] for setting in each.settings}
         try:
             found.append(_kept(name, each, task, speed, bandwidth, settings, cache, told))
-        except ParameterError as error:
+        except (ParameterError, InstallationError) as error:
             failed.append(error)
         told(1, 1)
     if not found:

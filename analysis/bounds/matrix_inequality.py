@@ -111,7 +111,7 @@ def bound(task: Task, speed: float, bandwidth: float, *, report: Callable[[int, 
     found = certificate(task, speed, bandwidth)
     if report is not None:
         report(1, 1)
-    return LowerBound(cost=found.cost, method="matrix_inequality", assumption=ASSUMPTION, rigour=PROVED)
+    return LowerBound(cost=max(found.cost, 0.0), method="matrix_inequality", assumption=ASSUMPTION, rigour=PROVED)
 
 
 def certificate(task: Task, speed: float, bandwidth: float) -> MatrixCertificate:
@@ -120,7 +120,7 @@ def certificate(task: Task, speed: float, bandwidth: float) -> MatrixCertificate
 
     reason = refusal(task)
     if reason is not None:
-        raise ParameterError(f"there is no lower bound by a matrix inequality: {reason}")
+        raise ParameterError(f"there is no lower bound for this task by a matrix inequality: {reason}")
     problem = _Problem(task, speed, bandwidth)
     low, high = np.log(MULTIPLIERS)
     found = minimize_scalar(lambda power: -problem.solved(float(np.exp(power)), 0.0).cost, bounds=(low, high), method="bounded")
@@ -128,7 +128,7 @@ def certificate(task: Task, speed: float, bandwidth: float) -> MatrixCertificate
         proved = problem.solved(float(np.exp(found.x)), margin)
         if proved.holds and np.isfinite(proved.cost):
             return proved
-    raise ParameterError("there is no lower bound by a matrix inequality: rounding is too large to prove it")
+    raise ParameterError("there is no lower bound for this task by a matrix inequality: rounding is too large to prove it")
 
 
 class _Problem:
