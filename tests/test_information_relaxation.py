@@ -98,15 +98,19 @@ def test_conditional_moments_of_a_gaussian_road_are_gaussian():
 
 
 def worst_mean(road, interval):
-    """Largest |z| of the mean factors on driven roads, if the moments were those of ``interval``."""
+    """Largest |z| of mean penalties on driven roads, if the moments were those of ``interval``."""
     task = task_of(road, substeps=9)
     plant = Plant(task, 65536, threads=1)
     before = plant.start(np.arange(65536, dtype=np.uint64)).observations[:, 2:].astype(float)
     after = plant.step(np.ones(65536, np.float32)).observations[:, 2:].astype(float)
     moments = RoadMoments(task.road.shaping_filter(), RATIO, interval, 8)
-    _, _, factor = NoisePolynomials(moments, ALONG, ACROSS)(before, after)
-    factor = np.concatenate([factor, factor * before[:, :1] ** 2, factor * before[:, 1:] ** 2], axis=1)  # of any predictable weight
-    return np.max(np.abs(factor.mean(axis=0)) / factor.std(axis=0) * math.sqrt(len(factor)))
+    _, offset, factor = NoisePolynomials(moments, ALONG, ACROSS)(before, after)
+    worst = 0.0
+    for i, k in ((0, 1), (1, 0), (0, 2), (1, 1), (2, 0), (0, 4), (2, 2)):  # w that is a monomial, times any predictable factor
+        penalty = (factor * offset[:, :, 0] ** i * offset[:, :, 1] ** k).sum(axis=1)
+        for weight in (1.0, before[:, 0], before[:, 0] ** 2, before[:, 1] ** 2):
+            worst = max(worst, abs((weight * penalty).mean()) / (weight * penalty).std() * math.sqrt(len(before)))
+    return worst
 
 
 @pytest.mark.statistical

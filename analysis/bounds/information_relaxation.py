@@ -25,7 +25,7 @@ The bound is g' plus the mean difference between the inner problem's value and t
 keeps the free start from leaving for where the table is worst, at little cost at the end.
 
 *What is not exact.* The inner problem is solved on a grid, by linear interpolation of its small difference to w, for a few D in
-the range. On some of the roads it is solved again with half the cells' sides and twice the D; what that lowers the bound by is
+the range and parabolas between them. On some of the roads it is solved again with half the cells' sides and twice the D; what that lowers the bound by is
 charged, times 4/3 for what finer ones would. It is assumed that leaving the grid, eight root mean squares of the car each way,
 does not pay. D is held over each interval; the roads are those of the plant at a third of its substeps.
 """
@@ -221,16 +221,16 @@ class Relaxation:
                     paid = along(value, grid, chain.chain, steps, car, drives.chosen[:, path])
                     paid -= price * float(np.diff(quartic(car[[0, -1]] / box))[0])
 
-                    def least(nodes: int, stride: int, steps: Steps = steps) -> float:
+                    def inner(nodes: int, stride: int, steps: Steps = steps) -> float:
                         fine = Grid(nodes, 2 * box / (nodes - 1))
                         beyond = -price * quartic(nodes_of(nodes))
                         relax(value, grid, chain.chain, steps, stride, fine, beyond)
                         return float(np.min(beyond + price * quartic(nodes_of(nodes))))
 
-                    coarse = least(ROWS, 2)
+                    coarse = inner(ROWS, 2)
                     self.bracket[path], self.gaps[path] = paid / intervals, (coarse - paid) / intervals
                     if path % REFINED == 0:
-                        changes[path] = (least(2 * ROWS - 1, 1) - coarse) / intervals
+                        changes[path] = (inner(2 * ROWS - 1, 1) - coarse) / intervals
                     done += 1
                     told(0.6 + 0.4 * done / paths)
 

@@ -141,6 +141,22 @@ def stage(chain: Any, steps: Any, n: int, a: int, y: Any, x: Any) -> Any:
 
 
 @compiled
+def least(options: Any, p: int) -> Any:
+    """The least of column ``p`` over an evenly spaced variable: that of the parabola through three neighbours about the least."""
+    best = 0
+    for option in range(1, len(options)):
+        if options[option, p] < options[best, p]:
+            best = option
+    middle = min(max(best, 1), len(options) - 2)
+    slope = 0.5 * (options[middle + 1, p] - options[middle - 1, p])
+    curvature = options[middle + 1, p] - 2.0 * options[middle, p] + options[middle - 1, p]
+    found = options[best, p]
+    if curvature > 0.0 and abs(slope) < curvature:
+        found = min(found, options[middle, p] - 0.5 * slope * slope / curvature)
+    return found
+
+
+@compiled
 def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any, beyond: Any) -> None:
     """The inner problem of one road: its value beyond h0 + w at the end becomes that at the beginning.
 
@@ -148,7 +164,7 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
         value: w, shape (road nodes, cells).
         grid: that of w.
         chain, steps: the plant and the road.
-        stride: every so many of the dampings are admissible.
+        stride: every so many of the dampings are tried, three or more; between them the cost is a parabola.
         fine: the grid of the inner problem.
         beyond: its value less h0 + w, shape (nodes of ``fine``,); overwritten.
     """
@@ -156,14 +172,14 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
     size, cell, cells = grid.size, grid.cell, grid.size**2
     slices, here = np.empty((points, cells), np.float32), np.empty(cells, np.float32)
     penalty, middle = np.empty(cells, np.float32), np.empty(size, np.float32)
-    new = np.empty(fine.size**2)
+    options = np.empty((1 + (len(chain.maps) - 1) // stride, fine.size**2))
     centre, fine_centre = 0.5 * (size - 1), 0.5 * (fine.size - 1)
     blend(value, steps.index[intervals], steps.weight[intervals], here)
     for n in range(intervals - 1, -1, -1):
         for q in range(points):
             blend(value, steps.point_index[n, q], steps.point_weight[n, q], slices[q])
-        new[:] = np.inf
-        for a in range(0, len(chain.maps), stride):
+        for option in range(len(options)):
+            a = option * stride
             penalty_table(slices, steps.factor[n], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
             dy, dx = steps.noise[n, a, 0], steps.noise[n, a, 1]
             for i in range(fine.size):
@@ -177,15 +193,14 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
                     cost += bilinear(
                         beyond, fine.size, y_after / fine.cell[0] + fine_centre, x_after / fine.cell[1] + fine_centre
                     )
-                    p = i * fine.size + k
-                    new[p] = min(new[p], cost)
+                    options[option, i * fine.size + k] = cost
         blend(value, steps.index[n], steps.weight[n], here)
         for i in range(fine.size):
             row = (i - fine_centre) * fine.cell[0] / cell[0] + centre
             for k in range(fine.size):
                 column = (k - fine_centre) * fine.cell[1] / cell[1] + centre
                 p = i * fine.size + k
-                beyond[p] = new[p] - interpolate(here, size, row, column)
+                beyond[p] = least(options, p) - interpolate(here, size, row, column)
 
 
 @compiled

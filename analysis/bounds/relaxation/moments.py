@@ -62,19 +62,25 @@ class RoadMoments:
 
     def central(self, states: FloatArray) -> tuple[FloatArray, dict[Exponents, FloatArray]]:
         """(mean, central moments by exponents) after the interval, from ``states``, shape (k, n): shapes (k, n) and (k,)."""
-        before = np.stack([np.prod(states**exponents, axis=1) for exponents in self.exponents], axis=1)
-        raw = dict(zip(self.exponents, (before @ self._step.T).T, strict=True))
+        powers = self._powers(states)
+        before = np.array([math.prod(map(list.__getitem__, powers, exponents)) for exponents in self.exponents])
+        raw = dict(zip(self.exponents, self._step @ before, strict=True))
         size = states.shape[1]
         mean = np.stack([raw[tuple(int(i == k) for k in range(size))] for i in range(size)], axis=1)
-        found = {}
+        back, found = self._powers(-mean), {}
         for exponents in self.exponents:
             total = np.zeros(len(states))
             for kept in itertools.product(*(range(power + 1) for power in exponents)):
-                left = np.subtract(exponents, kept)
-                ways = math.prod(math.comb(power, some) for power, some in zip(exponents, kept, strict=True))
-                total += ways * raw[kept] * np.prod((-mean) ** left, axis=1)
+                left = (power - some for power, some in zip(exponents, kept, strict=True))
+                ways = math.prod(map(math.comb, exponents, kept))
+                total += ways * raw[kept] * math.prod(map(list.__getitem__, back, left))
             found[exponents] = total
         return mean, found
+
+    def _powers(self, states: FloatArray) -> list[list[FloatArray]]:
+        """Of each state, its powers from 0 to the degree, shape (k,) each."""
+        degree = sum(self.exponents[-1])
+        return [list(itertools.accumulate([np.ones(len(row))] + [row] * degree, np.multiply)) for row in states.T]
 
 
 class NoisePolynomials:
@@ -103,8 +109,8 @@ class NoisePolynomials:
         zeta = (after[:, 0] - mean[:, 0]) / level - follows * slope / level * xi
         powers = np.empty((len(before), len(along), len(across)))
         for i, k in np.ndindex(*powers.shape[1:]):
-            expected = sum(math.comb(k, j) * (-follows) ** j * moment[k - j, i + j] for j in range(k + 1))
-            powers[:, i, k] = xi**i * zeta**k - expected / (slope**i * level**k)
+            terms = [math.comb(k, j) * (-follows) ** j * moment[k - j, i + j] for j in range(k + 1)]
+            powers[:, i, k] = xi**i * zeta**k - np.sum(terms, axis=0) / (slope**i * level**k)
         lagrange = [np.linalg.inv(np.vander(nodes, increasing=True)) for nodes in (along, across)]
         factor = np.einsum("nij,ip,jq->npq", powers, *lagrange).reshape(len(before), -1)
         first, second = (nodes.ravel() for nodes in np.meshgrid(along, across, indexing="ij"))
