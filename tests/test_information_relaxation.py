@@ -1,4 +1,4 @@
-"""Lower bounds by information relaxation: against closed forms, against what is driven, and with values and penalties that are wrong."""
+"""Lower bounds by information relaxation: closed forms, what is driven, and values and penalties that are wrong."""
 
 import functools
 import math
@@ -48,11 +48,12 @@ def small(monkeypatch):
     monkeypatch.setattr(information_relaxation, "VALUE_GRID", np.array([8, 24, 36]))
     monkeypatch.setattr(information_relaxation, "ROWS", 36)
     monkeypatch.setattr(information_relaxation, "LEVELS", 9)
-    monkeypatch.setattr(information_relaxation, "PRECISION", 0.005)
+    monkeypatch.setattr(information_relaxation, "LEAST", 16)
+    monkeypatch.setattr(information_relaxation, "MOST", 16)
 
-    def relaxed(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, paths=16, intervals=100, seed=3):
+    def relaxed(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, intervals=100, seed=3):
         feedback = feedback_of(road, damping_range, speed)
-        return Relaxation(task_of(road, damping_range, speed), feedback, paths, intervals, seed, 1, lambda done: None)
+        return Relaxation(task_of(road, damping_range, speed), feedback, 0.01, intervals, seed, 1, lambda done: None)
 
     return relaxed
 
@@ -190,7 +191,7 @@ def test_a_biased_penalty_is_caught(small, monkeypatch):
 
 def test_results_do_not_depend_on_threads(small):
     task, feedback = task_of(), feedback_of("multiplicative", (0.05, 1.0), RATIO)
-    found = [Relaxation(task, feedback, 16, 10, 0, threads, lambda done: None) for threads in (1, 2)]
+    found = [Relaxation(task, feedback, 0.01, 10, 0, threads, lambda done: None) for threads in (1, 2)]
     assert found[0].cost == found[1].cost
 
 
@@ -198,7 +199,14 @@ def test_the_method_at_an_operating_point_of_a_task_with_ranges(small, tmp_path)
     task = make_task(road="gaussian", speed=(1.0, 2.0), bandwidth=(0.05, 0.3))
     told = []
     found = information_relaxation.bound(
-        task, 1.5, 0.1, paths=16, intervals=20, cache=tmp_path, threads=1, report=lambda done, total: told.append((done, total))
+        task,
+        1.5,
+        0.1,
+        precision=0.01,
+        intervals=20,
+        cache=tmp_path,
+        threads=1,
+        report=lambda done, total: told.append((done, total)),
     )
     assert (found.method, found.rigour) == ("information_relaxation", STATISTICAL)
     assert 0 < found.standard_error < found.cost
@@ -222,7 +230,7 @@ def test_what_it_is_not_there_for(plant, reason):
         information_relaxation.bound(task, task.speed[0], task.bandwidth[0])
 
 
-@pytest.mark.parametrize("settings", [{"paths": 15}, {"paths": 1.5}, {"intervals": 0}, {"threads": 0}])
+@pytest.mark.parametrize("settings", [{"precision": 0}, {"precision": "low"}, {"intervals": 0}, {"threads": 0}])
 def test_bad_settings_are_named(settings):
     (name,) = settings
     with pytest.raises(ParameterError, match=f"^{name} must be"):

@@ -99,8 +99,8 @@ class Steps(NamedTuple):
     """One road over the intervals.
 
     Attributes:
-        index, weight: stencils in w of the road at their ends, shape (intervals + 1, 16).
-        point_index, point_weight: of the points about its mean, shape (intervals, points, 16).
+        nodes, weights: stencils in w of the road at their ends, shape (intervals + 1, 16).
+        point_nodes, point_weights: of the points about its mean, shape (intervals, points, 16).
         factor, offset: see `NoisePolynomials`, shape (intervals, points) and (intervals, points, 2).
         moved: what it adds to the car's states in the mean, shape (intervals, dampings, 2).
         noise: what it adds beyond that, likewise.
@@ -109,10 +109,10 @@ class Steps(NamedTuple):
             dampings, 2) and (intervals, dampings).
     """
 
-    index: IndexArray
-    weight: SingleArray
-    point_index: IndexArray
-    point_weight: SingleArray
+    nodes: IndexArray
+    weights: SingleArray
+    point_nodes: IndexArray
+    point_weights: SingleArray
     factor: FloatArray
     offset: FloatArray
     moved: FloatArray
@@ -142,7 +142,7 @@ def stage(chain: Any, steps: Any, n: int, a: int, y: Any, x: Any) -> Any:
 
 @compiled
 def least(options: Any, p: int) -> Any:
-    """The least of column ``p`` over an evenly spaced variable: that of the parabola through three neighbours about the least."""
+    """The least of column ``p`` over an evenly spaced variable: by the parabola about the least entry."""
     best = 0
     for option in range(1, len(options)):
         if options[option, p] < options[best, p]:
@@ -174,10 +174,10 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
     penalty, middle = np.empty(cells, np.float32), np.empty(size, np.float32)
     options = np.empty((1 + (len(chain.maps) - 1) // stride, fine.size**2))
     centre, fine_centre = 0.5 * (size - 1), 0.5 * (fine.size - 1)
-    blend(value, steps.index[intervals], steps.weight[intervals], here)
+    blend(value, steps.nodes[intervals], steps.weights[intervals], here)
     for n in range(intervals - 1, -1, -1):
         for q in range(points):
-            blend(value, steps.point_index[n, q], steps.point_weight[n, q], slices[q])
+            blend(value, steps.point_nodes[n, q], steps.point_weights[n, q], slices[q])
         for option in range(len(options)):
             a = option * stride
             penalty_table(slices, steps.factor[n], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
@@ -194,7 +194,7 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
                         beyond, fine.size, y_after / fine.cell[0] + fine_centre, x_after / fine.cell[1] + fine_centre
                     )
                     options[option, i * fine.size + k] = cost
-        blend(value, steps.index[n], steps.weight[n], here)
+        blend(value, steps.nodes[n], steps.weights[n], here)
         for i in range(fine.size):
             row = (i - fine_centre) * fine.cell[0] / cell[0] + centre
             for k in range(fine.size):
@@ -221,11 +221,11 @@ def along(value: Any, grid: Any, chain: Any, steps: Any, car: Any, chosen: Any) 
     for n in range(intervals):
         a = chosen[n]
         for q in range(points):
-            blend(value, steps.point_index[n, q], steps.point_weight[n, q], slices[q])
+            blend(value, steps.point_nodes[n, q], steps.point_weights[n, q], slices[q])
         penalty_table(slices, steps.factor[n], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
         cost, mean_y, mean_x = stage(chain, steps, n, a, car[n, 0], car[n, 1])
         total += cost - interpolate(penalty, size, mean_y / cell[0] + centre, mean_x / cell[1] + centre)
     for n, sign in ((0, -1.0), (intervals, 1.0)):
-        blend(value, steps.index[n], steps.weight[n], here)
+        blend(value, steps.nodes[n], steps.weights[n], here)
         total += sign * interpolate(here, size, car[n, 0] / cell[0] + centre, car[n, 1] / cell[1] + centre)
     return total

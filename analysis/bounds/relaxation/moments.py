@@ -1,8 +1,8 @@
 """Conditional moments of a road after an interval, exact, and polynomials of its noise whose conditional mean is zero.
 
-The road dr = nu F r dt + sqrt(nu I(r)) G dB, I = 1 + flatness (1 - r' P^-1 r/n), is that of `roadgym.linear`. Its generator maps
-polynomials of a degree to polynomials of no higher degree, so the conditional means of all monomials after an interval are those
-monomials before it times one matrix, the exponential of the generator's.
+The road dr = nu F r dt + sqrt(nu I(r)) G dB, I = 1 + flatness (1 - r' P^-1 r/n), is that of `roadgym.linear`. Its generator
+maps polynomials of a degree to polynomials of no higher degree, so the conditional means of all monomials after an interval are
+those monomials before it times one matrix, the exponential of the generator's.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class NoisePolynomials:
     """Interpolation in the noise of a road of two states, the second driven: at a few points, by polynomials of mean zero.
 
     A function f of the road after an interval is, about its mean m, nearly the polynomial through its values at the points
-    m + offset_q, so f less its conditional mean nearly the sum of f(m + offset_q) times a ``factor`` each: Lagrange's polynomial
-    at the road that came less its exact conditional mean. The factors have conditional mean zero, whatever f is.
+    m + offset_q, so f less its conditional mean nearly the sum of f(m + offset_q) times a ``factor`` each: Lagrange's
+    polynomial at the road that came less its exact conditional mean. The factors have conditional mean zero, whatever f is.
 
     Args:
         moments: of the road, up to the sum of both degrees at least.
@@ -99,7 +99,10 @@ class NoisePolynomials:
         self._moments, self._nodes = moments, (along, across)
 
     def __call__(self, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(mean, offset, factor) of steps from ``before`` to ``after``, shape (k, 2): shapes (k, 2), (k, points, 2), (k, points)."""
+        """(mean, offset, factor) of steps from ``before`` to ``after``, shape (k, 2) both.
+
+        Shapes (k, 2), (k, points, 2) and (k, points).
+        """
         mean, moment = self._moments.central(before)
         slope = np.sqrt(np.maximum(moment[0, 2], 1e-24))
         follows = moment[1, 1] / slope**2

@@ -151,4 +151,3 @@ class RoadChain:
         spacing = self._radius / (self._rings - 0.5)
         road_stencils(np.ascontiguousarray(points), spacing, self._rings, self._rays, index, weight)
         return index, weight
-
