@@ -12,7 +12,7 @@ from agents.theory import theoretical_cost
 from analysis.bounds import METHODS, STATISTICAL, information_relaxation
 from analysis.bounds.information_relaxation import Relaxation, standard_error
 from analysis.bounds.relaxation.moments import NoisePolynomials, RoadMoments
-from analysis.bounds.relaxation.roads import ACROSS, ALONG
+from analysis.bounds.relaxation.roads import DEGREES, nodes
 from roadgym.parameters import ParameterError
 from roadgym.plant import Plant
 from roadgym.task import make_task
@@ -64,17 +64,17 @@ def small(monkeypatch):
 @pytest.mark.parametrize("road", [roadgym.GaussianRoad(bandwidth=0.3), roadgym.MultiplicativeRoad.from_shape(shape=2.0)])
 def test_stationary_moments_stay_as_they_are(road):
     """A quadrature of the stationary law, (11) of Wedig (2020) or Gaussian, is carried over an interval."""
-    moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, 8)
+    moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, sum(DEGREES))
     if road.shaping_filter().flatness:  # 1 - r^2/r0^2 = W^(1/alpha), W uniform: a Jacobi weight in r^2/r0^2
         from scipy.special import roots_jacobi
 
-        nodes, weights = roots_jacobi(8, road.shape - 1, 0)
-        squares = (1 + nodes) / 2 * 2 * (road.shape + 1)
+        places, weights = roots_jacobi(10, road.shape - 1, 0)
+        squares = (1 + places) / 2 * 2 * (road.shape + 1)
     else:
         from scipy.special import roots_laguerre
 
-        nodes, weights = roots_laguerre(8)
-        squares = 2 * nodes
+        places, weights = roots_laguerre(10)
+        squares = 2 * places
     angles = 2 * np.pi * np.arange(16) / 16
     radii = np.sqrt(squares)[:, None]
     states = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
@@ -104,8 +104,8 @@ def worst_mean(road, interval):
     plant = Plant(task, 65536, threads=1)
     before = plant.start(np.arange(65536, dtype=np.uint64)).observations[:, 2:].astype(float)
     after = plant.step(np.ones(65536, np.float32)).observations[:, 2:].astype(float)
-    moments = RoadMoments(task.road.shaping_filter(), RATIO, interval, 8)
-    _, offset, factor = NoisePolynomials(moments, ALONG, ACROSS)(before, after)
+    moments = RoadMoments(task.road.shaping_filter(), RATIO, interval, sum(DEGREES))
+    _, offset, factor = NoisePolynomials(moments, *map(nodes, DEGREES))(before, after)
     worst = 0.0
     for i, k in ((0, 1), (1, 0), (0, 2), (1, 1), (2, 0), (0, 4), (2, 2)):  # w that is a monomial, times any predictable factor
         penalty = (factor * offset[:, :, 0] ** i * offset[:, :, 1] ** k).sum(axis=1)
@@ -124,9 +124,9 @@ def test_penalties_have_mean_zero_and_biased_ones_have_not(road):
 def test_the_points_of_the_noise_reproduce_polynomials():
     """Lagrange's polynomials at the road that came, less their means: those of any polynomial of the degrees are exact."""
     road = roadgym.MultiplicativeRoad.from_shape(shape=2.0)
-    moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, 8)
+    moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, sum(DEGREES))
     before, after = np.array([[0.4, 0.9]]), np.array([[0.7, 0.5]])
-    mean, offset, factor = NoisePolynomials(moments, ALONG, ACROSS)(before, after)
+    mean, offset, factor = NoisePolynomials(moments, *map(nodes, DEGREES))(before, after)
     _, central = moments.central(before)
     came = (after - mean)[0]
     for i, k in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 4), (2, 4)):

@@ -18,11 +18,15 @@ from ...feedback.policy import OptimalFeedback
 from .inner import Chain, IndexArray, Steps
 from .moments import NoisePolynomials, RoadMoments
 
-# nodes for the noise of the slope, and for what of the level's does not follow from it, in standard deviations: roots of
-# Hermite's polynomials, the middle first
-ALONG = np.array([0.0, 1.1544053948, -1.1544053948, 2.3667594107, -2.3667594107, 3.7504397177, -3.7504397177])
-ACROSS = np.array([0.0, math.sqrt(3.0), -math.sqrt(3.0)])
+DEGREES = 8, 4  # of the polynomials in the noise of the slope, and in what of the level's does not follow from it
 FINER = 3  # substeps for each of the task's: the polynomials ask for more of the road's moments than a cost does
+
+
+def nodes(degree: int) -> FloatArray:
+    """Where noise of standard deviation 1 is interpolated: the roots of Hermite's polynomial, the middle first; even degrees."""
+    roots, _ = np.polynomial.hermite_e.hermegauss(degree + 1)
+    roots[degree // 2] = 0.0
+    return np.asarray(roots[np.argsort(np.abs(roots), kind="stable")])
 
 
 def levels(task: Task, count: int) -> FloatArray:
@@ -119,10 +123,9 @@ class RoadChain:
         self.chain = Chain(np.ascontiguousarray(steps[:, :2, :2]), np.array([part.gain for part in parts]), squares)
         road = task.road.shaping_filter()
         assert road is not None
-        degree = len(ALONG) + len(ACROSS) - 2
         ratio = float(task.frequency_ratio(task.speed[0]))
-        moments = RoadMoments(road, ratio, task.control_interval * task.car.natural_frequency, degree)
-        self._polynomials = NoisePolynomials(moments, ALONG, ACROSS)
+        moments = RoadMoments(road, ratio, task.control_interval * task.car.natural_frequency, sum(DEGREES))
+        self._polynomials = NoisePolynomials(moments, *map(nodes, DEGREES))
 
     def steps(self, road: FloatArray, added: FloatArray) -> Steps:
         """What one road does, from ``road``, shape (intervals + 1, 2), and ``added``, shape (intervals, dampings, 2)."""
