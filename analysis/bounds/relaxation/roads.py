@@ -18,12 +18,12 @@ from ...feedback.policy import OptimalFeedback
 from .inner import Chain, IndexArray, Steps
 from .moments import NoisePolynomials, RoadMoments
 
-DEGREES = 8, 4  # of the polynomials in the noise of the slope, and in what of the level's does not follow from it
+DEGREES = 8, 4  # even: of the polynomials in the noise of the slope, and in what of the level's does not follow from it
 FINER = 3  # substeps for each of the task's: the polynomials ask for more of the road's moments than a cost does
 
 
 def nodes(degree: int) -> FloatArray:
-    """Where noise of standard deviation 1 is interpolated: the roots of Hermite's polynomial, the middle first; even degrees."""
+    """Where noise of standard deviation 1 is interpolated: roots of Hermite's polynomial, the middle first."""
     roots, _ = np.polynomial.hermite_e.hermegauss(degree + 1)
     roots[degree // 2] = 0.0
     return np.asarray(roots[np.argsort(np.abs(roots), kind="stable")])
