@@ -16,20 +16,18 @@ from .certified import check_bound, lower_bounds
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, tune_controller
 from .evaluation import Predictor, evaluate, evaluated_task
 from .names import name_folders, title
+from .numerals import above, percent, with_error
 from .progress import work_progress
 from .records import lasting, make_folder, plain, versions, write_atomically
 from .report import (
-    above,
     adjusted_by,
     blocks,
     make_report,
     mean_gap_closed,
     notes,
-    percent,
     table,
     theory_given,
     weighted,
-    with_error,
 )
 from .results import (
     CONFIDENCE,
@@ -207,10 +205,10 @@ def compare(
             seed=seed,
             report=tell,
         )
-        task = evaluated_task(plant)
         bounds = lower_bounds(task, evaluations["analytic_optimum"].points, bound, tell)
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    task = evaluated_task(plant)
     rows, references = make_rows(task, learned, evaluations, bounds)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     optimal = {name: [evaluations[name]] for name in evaluations if name == "optimal_feedback"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import inspect
-import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,41 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from analysis import LowerBound
-from analysis.bounds import METHODS
 from roadgym.installation import needs
 
 from .agent import Agent
+from .certified import bound_cell, bound_notes, mean_share_certified
 from .controllers import CONTROLLERS
 from .evaluation import Predictor
 from .features import has_lookahead
 from .names import CONTROLLERS_SHOWN, title
-from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
+from .numerals import above, aligned, as_exact_as, percent, with_error
+from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row
 from .units import KILOMETRES_PER_HOUR, column, in_si, place, root, shown, unit
 from .units import weighted as weighted
 
 TEMPLATE = Path(__file__).with_name("report.html")
 WIDTH = 80  # columns of the table of text
-NUMBER = re.compile(r"-?\d")
-
-
-def percent(share: Share | None) -> str:
-    """A share in per cent with half its confidence interval, or n/a; no number where it is a loss of more than all."""
-    if share is None:
-        return "n/a"
-    if share.value < -1:
-        return "< -100 %"
-    # adding 0 makes 0.0 of -0.0
-    return f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f} %"
-
-
-def above(share: Share) -> str:
-    """What a cost is to one that it is compared with, from the share that it is above: in per cent, or as a multiple."""
-    if share.value > 1:
-        return f"{1 + share.value:.3g} times"
-    if share.value >= 0:
-        return f"{percent(share)} above"
-    return f"{percent(Share(-share.value, -share.high, -share.low))} below"
 
 
 def notes(comparison: Comparison) -> list[tuple[str, str]]:
@@ -108,29 +87,6 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
     return found
 
 
-def bound_notes(comparison: Comparison) -> list[tuple[str, str]]:
-    """What the lower bounds are, and the shares that they certify, or why there are none."""
-    reasons = "; ".join(dict.fromkeys(bound for bound in comparison.bounds if isinstance(bound, str)))
-    if not comparison.bounded:
-        return [("certified", f"n/a here for lack of a lower bound: {reasons}.")] if reasons else []
-    methods: dict[tuple[str, str, str], int] = {}
-    for bound in comparison.bounds:
-        if isinstance(bound, LowerBound):
-            kind = (METHODS[bound.method].title, bound.rigour, bound.assumption)
-            methods[kind] = methods.get(kind, 0) + 1
-    several = len(methods) > 1
-    told = "; ".join(
-        f"by {method}{f' at {number} of {len(comparison.points)} points' if several else ''}, {rigour}, for {assumption}"
-        for (method, rigour, assumption), number in methods.items()
-    )
-    share = (
-        "share of the way from the best constant D to the lower bound: so much at least of what any controller could save; "
-        f"n/a where that is less than {100 * LEAST_ROOM:g} %."
-    )
-    missing = f" n/a where there is none: {reasons}." if reasons else ""
-    return [("lower bound", f"what no controller can beat: {told}.{missing}"), ("certified", share)]
-
-
 def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]]]]:
     """What the table shows: a title, and under it columns of a label and a cell for each operating point.
 
@@ -159,23 +115,10 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
             under.append(("certified", [percent(row.certified) for row in rows]))
         found.append((title(name), under))
     if comparison.bounded:
-        cells = [
-            "n/a" if isinstance(bound, str) else bound_cell(bound, comparison.row("analytic_optimum", point))
-            for point, bound in zip(points, comparison.bounds, strict=True)
-        ]
+        optima = (comparison.row("analytic_optimum", point) for point in points)
+        cells = [bound_cell(bound, row) for bound, row in zip(comparison.bounds, optima, strict=True)]
         found.insert(1 + sum(name in first for name in comparison.controllers), ("lower bound", [("cost", cells)]))
     return found
-
-
-def aligned(cells: Sequence[str]) -> list[str]:
-    """The cells in one width, numbers with their decimal points under each other, other text at the right."""
-    parts = [cell.partition(".") if NUMBER.match(cell) else ("", "", "") for cell in cells]
-    left, right = (max(len(part) for part in side) for side in ([p[0] for p in parts], [p[1] + p[2] for p in parts]))
-    width = max(left + right, *map(len, cells))
-    return [
-        (part[0].rjust(left) + (part[1] + part[2]).ljust(right) if part[0] else cell).rjust(width)
-        for cell, part in zip(cells, parts, strict=True)
-    ]
 
 
 def theory_given(agent: Predictor) -> str | None:
@@ -227,20 +170,6 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
         text += f" {where} cost is {above(gap.loss)} that of the best constant D"
         text += f" ({worst})." if left == 1 else f" on average, {above(gap.largest_loss)} at worst ({worst})."
     return text
-
-
-def mean_share_certified(comparison: Comparison, name: str) -> str | None:
-    """The mean certified share of a controller, and what it is over, in words; None where there is none."""
-    mean = comparison.mean_certified[name]
-    if mean.share is None:
-        return None
-    total = len(mean.points) + len(mean.left_out)
-    over = f"on average over {'all' if not mean.left_out else f'{len(mean.points)} of'} {total} operating points"
-    over = "at the one operating point" if total == 1 else over
-    who = title(name) if name in comparison.agents else f"the {title(name)}"
-    if mean.share.value < 0:
-        return f"Certified: nothing of what any controller could save is saved by {who} ({percent(mean.share)}), {over}."
-    return f"Certified: {who} saves at least {percent(mean.share)} of what any controller could save, {over}."
 
 
 def means(comparison: Comparison) -> list[str]:
@@ -306,34 +235,9 @@ def _laid_out(name: str, columns: Sequence[tuple[str, Sequence[str]]]) -> list[s
     return [*(place(line, width) for line in head), *(line.rjust(width) for line in [under, *body])]
 
 
-def with_error(value: float, error: float) -> str:
-    """``value`` with the standard error of its last digits in brackets: 0.2561(12) is 0.2561 ± 0.0012."""
-    if not np.isfinite(error) or error <= 0:
-        return f"{value:.4f}"
-    digits = _decimals(value, error)
-    return f"{value:.{digits}f}({round(error * 10**digits)})"
-
-
-def _decimals(value: float, error: float) -> int:
-    """Decimals that show two digits of a standard error, but no more than six digits of the value."""
-    if not (np.isfinite(error) and error > 0):
-        return 4
-    most = 6 + max(0, -int(np.floor(np.log10(abs(value)))) - 1) if value else 6
-    return min(max(1 - int(np.floor(np.log10(error))), 0), most)
-
-
 def _theory(row: Row) -> str:
     """The exact cost, with no fewer decimals than the cost as driven has; nothing where there is none."""
-    return "" if row.theory is None else _exact(row.theory, row)
-
-
-def bound_cell(bound: LowerBound, row: Row) -> str:
-    """A lower bound, with its error, or with no fewer decimals than a driven cost has."""
-    return with_error(bound.cost, bound.standard_error) if bound.standard_error else _exact(bound.cost, row)
-
-
-def _exact(value: float, row: Row) -> str:
-    return f"{value:.{max(4, _decimals(row.cost, row.standard_error))}f}"
+    return "" if row.theory is None else as_exact_as(row.theory, row.cost, row.standard_error)
 
 
 def _tables(comparison: Comparison) -> list[dict[str, Any]]:
@@ -349,6 +253,9 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
         costs["gain"] = [percent(row.gain) for row in rows]
     if comparison.bounded:
         costs["certified"] = [percent(row.certified) for row in rows]
+        optima = [comparison.row("analytic_optimum", point) for point in comparison.points]
+        bounds = [bound_cell(bound, row) for bound, row in zip(comparison.bounds, optima, strict=True)]
+        costs = {head: cells + (bounds if head == "cost" else [""] * len(bounds)) for head, cells in costs.items()}
     squares = {"switches": [f"{row.switches:.2f}" for row in rows]}
     for name in rows[0].squares:
         head, values = name.replace("_", " "), [row.squares[name] for row in rows]
@@ -373,6 +280,10 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
                 for number, row in enumerate(rows)
                 if row.point == point
             ]
+            # after those of the rows come the cells of the lower bounds, if there are any
+            for number in range(len(rows), len(cells)):
+                if comparison.points[number - len(rows)] == point:
+                    lines.append({"name": "lower bound", "learned": False, "cells": cells[number]})
             groups.append({"heading": heading, "rows": lines})
         found.append({"heads": list(columns), "groups": groups})
     return found

@@ -12,7 +12,8 @@ from agents.optimality import certify_optimality
 from analysis.bounds import METHODS, PROVED, LowerBound
 from roadgym.parameters import ParameterError
 
-PLANT = ["--road", "gaussian", "--speed", "2", "--bandwidth", "0.3", "--lanes", "64"]
+METHOD = ["--methods", "matrix_inequality"]
+PLANT = ["--road", "gaussian", "--speed", "2", "--bandwidth", "0.3", "--lanes", "64", *METHOD]
 ENVIRONMENT = {"road": "gaussian", "speed": (1.0, 3.0), "bandwidth": (0.1, 0.3)}
 
 
@@ -61,7 +62,7 @@ def test_a_bound_above_a_driven_cost_is_told_by_code_1_and_one_within_its_error_
 
 @pytest.mark.usefixtures("without_feedback")
 def test_where_no_bound_is_known_the_reason_is_told(capsys):
-    plant = ["--road", "harmonic", "--speed-noise", "white", "--lanes", "32"]
+    plant = ["--road", "harmonic", "--speed-noise", "white", "--lanes", "32", *METHOD]
     assert main(["certify", "--optimal", *plant]) == 0
     text = capsys.readouterr().out
     assert "By a matrix inequality: none, white noise on the speed." in text
@@ -74,7 +75,7 @@ def test_where_no_bound_is_known_the_reason_is_told(capsys):
         (["--optimal", "--damping", "0.3"], "--damping cannot be given with --optimal, which finds the best one"),
         (["--weights", "travel=1"], "--weights cannot be given without --optimal, which alone they matter for"),
         (["--bandwidth", "0.2"], "--bandwidth cannot be given without --optimal, which alone they matter for"),
-        (["--optimal", "--methods", "guess", *PLANT], "methods must be of matrix_inequality"),
+        (["--optimal", *PLANT[:-2], "--methods", "guess"], "methods must be of matrix_inequality"),
         (["--optimal", "--weights", "comfort=1", *PLANT], "unknown reward term 'comfort'"),
         (["--optimal", "--road", "first_order", "--bandwidth", "0.2"], "bandwidth"),
     ],

@@ -11,7 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from agents import figures
 from agents.comparison import Share, above, compare, percent, table, write
 from agents.controllers import CONTROLLERS, make_controller
-from agents.report import WIDTH, aligned
+from agents.numerals import aligned
+from agents.report import WIDTH
 from roadgym.task import make_task
 
 ENVIRONMENT = {"road": "multiplicative", "speed": (0.7, 3.0), "bandwidth": (0.1, 0.3)}
@@ -79,6 +80,29 @@ def test_page_says_first_what_was_found_then_how_then_numbers(comparison, tmp_pa
     for name in ("skyhook", "best constant D", "one-step lookahead"):  # one name, in the list and in both tables
         assert f"<dt>{name}</dt>" in page
         assert len(re.findall(rf"<td>{name}( = [\d.]+)?</td>", page)) == 2 * len(comparison.points)
+
+
+def test_page_and_picture_have_the_lower_bound(comparison, tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path: drawn.update({path.stem: figure}))
+    figures.draw_cost_over_speed(comparison, tmp_path / "costs.png")
+    for axis, bandwidth in zip(drawn["costs"].axes, (0.1, 0.3), strict=True):
+        (line,) = (line for line in axis.get_lines() if line.get_label() == "lower bound of all controllers")
+        known = [
+            bound.cost
+            for point, bound in zip(comparison.points, comparison.bounds, strict=True)
+            if point.bandwidth == bandwidth
+        ]
+        assert line.get_ydata().tolist() == known
+        lowest = axis.get_ylim()[0]
+        assert lowest > 0
+        assert lowest < min(row.cost for row in comparison.rows)
+    monkeypatch.undo()
+    write(comparison, tmp_path)
+    page = (tmp_path / "comparison.html").read_text()
+    shown = re.findall(r'<td>lower bound</td><td class="number"> *([\d.]+) *</td>', page)
+    assert [float(cell) for cell in shown] == pytest.approx([bound.cost for bound in comparison.bounds], abs=1e-4)
+    assert page.index("Certified: agent saves at least") < page.index("<table")
 
 
 def test_legends_cover_no_marks(comparison, tmp_path, monkeypatch):

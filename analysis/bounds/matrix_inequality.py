@@ -148,11 +148,14 @@ class _Problem:
         self.relative = 2 * (high - low) * systems.signals[task.car.motion.relative][0] @ back  # k v_r
         self.driver = systems.road_covariance
         self.square, self.cross, self.price = np.zeros((size, size)), np.zeros(size), 0.0
+        self.terms = np.zeros((size + 1, size + 1))  # what the cost is a sum of, in absolute values
         for name, weight in task.weights_by_name.items():
             row, force = systems.signals[name][0] @ back, systems.force[name]
             self.square += weight * np.outer(row, row)
             self.cross += weight * force * row
             self.price += weight * force**2
+            whole = np.abs(np.append(row, force))
+            self.terms += weight * np.outer(whole, whole)
         middle = dataclasses.replace(systems, drift=systems.drift.mean(axis=0), noise=systems.noise.mean(axis=0))
         covariance = away @ middle.covariance() @ away.T
         self.unit = float(np.sum(self.square * covariance))  # nearly the cost at the middle damping
@@ -186,7 +189,7 @@ class _Problem:
         left[road, road] = (whole - price * np.outer(gain, gain) - spare)[road, road]
         side = value @ self.entry + cross
         inequality = np.block([[whole - left, side[:, None]], [side[None, :], np.array([[price]])]])
-        least, rounding = self._least_eigenvalue(inequality, value, gain)
+        least, rounding = self._least_eigenvalue(inequality, value, gain, weight)
         soft, more = self.noise
         # <P, noise noise'> is a polynomial of the share of the range that D is above D_min
         terms = [float(np.sum(value * (one @ other.T))) for one, other in ((soft, soft), (soft, more), (more, more))]
@@ -207,7 +210,9 @@ class _Problem:
             rounding=rounding,
         )
 
-    def _least_eigenvalue(self, inequality: FloatArray, value: FloatArray, gain: FloatArray) -> tuple[float, float]:
+    def _least_eigenvalue(
+        self, inequality: FloatArray, value: FloatArray, gain: FloatArray, weight: float
+    ) -> tuple[float, float]:
         """(least eigenvalue over (x, u + K x), bound of the rounding in that matrix), both over the scale of the states."""
         size = len(gain)
         scale = np.append(self.scale / np.sqrt(self.unit), 1 / np.sqrt(inequality[-1, -1]))
@@ -216,10 +221,10 @@ class _Problem:
         moved = scale[:, None] * (shear.T @ inequality @ shear) * scale
         # each entry is a sum of products of at most four factors: what rounding does is below 4 (n + 4) eps times their sizes
         rate = np.abs(value) @ np.abs(self.drift)
-        sizes = np.abs(inequality)
-        sizes[:-1, :-1] += rate + rate.T
-        sizes[:-1, -1] += np.abs(value) @ np.abs(self.entry)
-        sizes[-1, :-1] = sizes[:-1, -1]
+        side = np.abs(value) @ np.abs(self.entry) + weight / 2 * np.abs(self.relative)
+        sizes = (
+            np.abs(inequality) + self.terms + np.block([[rate + rate.T, side[:, None]], [side[None, :], np.array([[weight]])]])
+        )
         products = scale[:, None] * (np.abs(shear).T @ sizes @ np.abs(shear)) * scale
         rounding = 4 * (size + 4) * np.finfo(float).eps * float(np.linalg.norm(products))
         return float(np.linalg.eigvalsh((moved + moved.T) / 2)[0]), rounding
