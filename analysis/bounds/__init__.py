@@ -16,7 +16,7 @@ from roadgym.installation import InstallationError
 from roadgym.parameters import ParameterError, shown, whole, within
 from roadgym.task import Task
 
-from . import matrix_inequality
+from . import information_relaxation, matrix_inequality
 from .bound import PROVED, RIGOURS, SOLVED, STATISTICAL, LowerBound
 from .kept import described, kept_files, kept_path, load, save
 from .matrix_inequality import MatrixCertificate
@@ -60,6 +60,14 @@ class Method:
 
 METHODS: dict[str, Method] = {
     "matrix_inequality": Method(title="a matrix inequality", refusal=matrix_inequality.refusal, bound=matrix_inequality.bound),
+    "information_relaxation": Method(
+        title="information relaxation",
+        refusal=information_relaxation.refusal,
+        bound=information_relaxation.bound,
+        quick=False,
+        settings=("seed", "threads", "cache"),
+        revision=1,
+    ),
 }
 PRESETS: Mapping[str, Callable[[Method], bool]] = MappingProxyType(
     {"fast": lambda method: method.quick, "tight": lambda method: True}
