@@ -117,7 +117,8 @@ def lower_bound(
 ) -> LowerBound:
     """What every controller costs at least, whatever it sees, remembers or computes, at an operating point of ``task``.
 
-    Its damping must stay in the range of the task; it may be lagged, delayed, or chosen from noisy sensors.
+    Its damping must stay in the range of the task, and may be late, or chosen from noisy sensors. Whether it must be held over
+    the control intervals, as behind a valve that lags it is not, `LowerBound.assumption` tells.
 
     Args:
         task: plant, weights, range of D and control interval, of `roadgym.task.make_task`.
