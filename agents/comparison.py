@@ -205,10 +205,10 @@ def compare(
             seed=seed,
             report=tell,
         )
-        task = evaluated_task(plant)
         bounds = lower_bounds(task, evaluations["analytic_optimum"].points, bound, tell)
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    task = evaluated_task(plant)
     rows, references = make_rows(task, learned, evaluations, bounds)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     optimal = {name: [evaluations[name]] for name in evaluations if name == "optimal_feedback"}
