@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -229,6 +229,7 @@ def evaluate(
     duration: float | None = None,
     transient: float | None = None,
     seed: int = 0,
+    informed: Collection[str] = (),
     report: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Evaluation]:
     """Drive each controller over the same roads at every operating point.
@@ -246,6 +247,7 @@ def evaluate(
             share exp(-2 D t) of the variance, and exp(-D t) where the road remembers its own start. Of the mean cost it is
             below 1e-4, even at D_min all the time, but for second-order roads with bandwidth times frequency ratio below 0.025.
         seed: fixes the roads; no road of one seed is met in training or under another seed.
+        informed: names of the controllers that are handed the signals as they are, and not through the environment's sensors.
         report: called as ``report(what, steps done, steps in all)`` now and then.
 
     Raises:
@@ -276,6 +278,7 @@ def evaluate(
     if more:
         plant = {name: value for name, value in plant.items() if name != "natural_frequency"} | {"car": watched(task.car, more)}
     envs = QuarterCarVectorEnv(number, max_episode_steps=None, **plant)
+    true_envs = QuarterCarVectorEnv(number, max_episode_steps=None, **{**plant, "sensors": None}) if informed else envs
     for controller in controllers.values():
         answers(controller, task)  # what cannot drive is told at once
     options: dict[str, Any] = {"speed": np.repeat([point.speed for point in points], episodes)}
@@ -292,7 +295,7 @@ def evaluate(
         total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
         power = np.zeros(number)
         firm = np.zeros(number, np.bool_)
-        steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options, task)
+        steps = drive(controller, true_envs if name in informed else envs, stream_seed(seed, Purpose.EVALUATION), options, task)
         for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
             was_firm, firm = firm, damping[:, 0] > middle
             if step >= skipped:

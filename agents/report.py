@@ -18,7 +18,7 @@ from .agent import Agent
 from .controllers import CONTROLLERS
 from .evaluation import Predictor
 from .features import has_lookahead
-from .names import CONTROLLERS_SHOWN, title
+from .names import CONTROLLERS_SHOWN, FILTERED, title
 from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
 from .units import KILOMETRES_PER_HOUR, column, in_si, place, root, shown, unit
 from .units import weighted as weighted
@@ -80,6 +80,11 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         )
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
+    if comparison.task.sensors is not None and any(name == "optimal_feedback" for name in comparison.references):
+        found.append((title("optimal_feedback"), "sees the state as it is, and not through sensors."))
+    if measured := comparison.configuration.get("measured"):
+        what = ", ".join(measured)
+        found.append((FILTERED.strip(", "), f"drives by the mean of a Kalman filter, to which its sensors tell {what}."))
     for name, chosen in comparison.configuration.get("parameters", {}).items():
         values = ", ".join(f"{parameter} = {value:g}" for parameter, value in chosen.items())
         found.append((title(name), f"{values}, which cost least of those tried in the middle of the plant's range."))
@@ -125,7 +130,7 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
             if rows[0].theory is not None:
                 under.insert(0, ("theory", [_theory(row) for row in rows]))
             under.insert(0, ("D", [f"{row.damping:.3f}" for row in rows]))
-        if name in comparison.agents:
+        if name in comparison.agents or name.endswith(FILTERED):
             closed = any(comparison.references)
             share = [percent(row.gap_closed if closed else row.gain) for row in rows]
             under.append(("gap closed" if closed else "gain", share))
