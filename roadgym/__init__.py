@@ -28,6 +28,7 @@ from .roads import (
 )
 from .sensors import Sensors
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
+from .valve import Valve
 
 __all__ = [
     "CARS",
@@ -55,6 +56,7 @@ __all__ = [
     "SpeedNoise",
     "TwoCornerRoad",
     "TwoMassCar",
+    "Valve",
     "WhiteSpeedNoise",
     "__version__",
     "read_profile",

@@ -45,7 +45,7 @@ class Interval:
 
     @property
     def damping(self) -> Floats:
-        """The damping ratios that were applied, shape (num_envs,)."""
+        """The damping ratios that were in force, in the mean over the interval, shape (num_envs,)."""
         row: Floats = self._results[RESULT_DAMPING]
         return row
 
@@ -64,3 +64,20 @@ class Interval:
     def only(self) -> list[float]:
         """Reward, damping, speed, bandwidth and mean squares of the first environment, in this order, as numbers."""
         return self._results[:, 0].tolist()  # type: ignore[no-any-return]
+
+
+class CommandedInterval(Interval):
+    """An interval of a plant with a valve that is not ideal; `only` tells the command after all else."""
+
+    __slots__ = ()
+
+    @property
+    def mean_squares(self) -> Floats:
+        """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
+        return self._results[SQUARES:-1]
+
+    @property
+    def command(self) -> Floats:
+        """The damping ratios that were commanded, within the range, shape (num_envs,)."""
+        row: Floats = self._results[-1]
+        return row

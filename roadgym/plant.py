@@ -16,6 +16,7 @@ from . import compiled, kernel
 from .cars import Car
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .filters import filter_table
+from .interval import CommandedInterval as CommandedInterval
 from .interval import Floats as Floats
 from .interval import Interval as Interval
 from .noise import fill_words, keys_from_seeds
@@ -40,6 +41,7 @@ from .roads import Road
 from .sensors import SensorTables, check_delays
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
+from .valve import shares_of_ends
 
 AUTORESET = {"next_step": NEXT_STEP, "same_step": SAME_STEP, "disabled": DISABLED}
 BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
@@ -140,15 +142,20 @@ class Plant:
         end, sensors = self._filters + (len(car.motion.states) - self._own_states) * LANES, task.real_sensors
         sources = {name: self._observed_code(name) for name in sensors}
         self._sensors = SensorTables.of(sensors, sources, task.control_interval, task.substeps, end)
-        self._block_size = end + self._sensors.rows * LANES
+        self._valve = end + self._sensors.rows * LANES
+        self._block_size = self._valve + task.valve.rows(task.control_interval) * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
         if max_episode_steps:
-            delays = {f"the sensor of {name}": sensor.delay for name, sensor in sensors.items()}
+            delays = {"the valve": task.valve.delay} | {f"the sensor of {name}": each.delay for name, each in sensors.items()}
             check_delays(delays, task.control_interval, max_episode_steps)
         self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
         self._autoreset = AUTORESET[autoreset]
-        self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.reward), num_envs)
+        self._observed, self._results = (
+            (num_envs, len(task.signals)),
+            (SQUARES + len(task.reward) + (not task.valve.ideal), num_envs),
+        )
+        self._interval = Interval if task.valve.ideal else CommandedInterval
         self.started = False
 
         within(f"variance of the {road.kind} road", road.variance, "variance")
@@ -171,6 +178,7 @@ class Plant:
             "filter_table": filter_table(car.motion, self._substep),
             "start": car.starts_on_road * car.motion.follows,
             "observed": np.array([codes.get(name, self._observed_code(name)) for name in task.signals], np.int64),
+            "valve_shares": shares_of_ends(task.substeps),
             "sensor_integers": self._sensors.integers,
             "sensor_numbers": self._sensors.numbers,
             "infinite": np.array([name in infinite for name in signals], np.int64),
@@ -220,6 +228,9 @@ class Plant:
             "relative": signals.index(car.motion.relative),
             "observations": len(task.signals),
             "sensors": len(self._sensors.integers),
+            "valve_row": self._valve,
+            "valve_rows": task.valve.rows(task.control_interval),
+            **task.valve.numbers(task.control_interval, car.natural_frequency),
             "block_size": self._block_size,
             "car": self._car,
             "work": compiled.WORK + (car.squared + car.working_rows) * LANES,
@@ -310,7 +321,7 @@ class Plant:
         results = np.zeros(self._results)
         self._run(kernel.reset_blocks, forced, mask, observations, results)
         self.started = True
-        return Interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
+        return self._interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
 
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
         """One control interval with the damping ratios ``actions``, shape (num_envs,)."""
@@ -319,7 +330,7 @@ class Plant:
         results = np.empty(self._results)
         truncated = np.empty(self.num_envs, np.bool_)
         self._run(kernel.step_blocks, actions, observations, results, truncated, final)
-        return Interval(observations, results, truncated, final)
+        return self._interval(observations, results, truncated, final)
 
     def trace(self, actions: npt.NDArray[np.float32]) -> tuple[Interval, npt.NDArray[Any], npt.NDArray[Any]]:
         """`step`, and what was met on the way.
@@ -378,13 +389,16 @@ class Plant:
         if row in states:
             place = states.index(str(row))
             return self._car + place * LANES if place < self._own_states else self._filters + (place - self._own_states) * LANES
+        if row == "damping" and not self.task.valve.ideal:
+            return self._valve
         return BUS[row] if isinstance(row, str) else row
 
     def row(self, row: str | int) -> npt.NDArray[Any]:
         """A copy of one row of the state, shape (num_envs,), in the kernel's units.
 
         Args:
-            row: the name of a state of the car, a name of `BUS`, or a row of the road's own by its offset.
+            row: the name of a state of the car, a name of `BUS`, "damping" for that in force behind a valve that is not ideal,
+                or a row of the road's own by its offset.
         """
         rows = self._state.reshape(self.blocks, -1, LANES)
         return rows[:, self._offset(row) // LANES, :].reshape(-1)[: self.num_envs].copy()

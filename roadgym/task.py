@@ -21,6 +21,7 @@ from .reward import asked_signals, check_weights, cost_unit, divergence_cause, d
 from .roads import Road, make_road
 from .sensors import Sensor, Sensors, make_sensors
 from .speed import SpeedNoise, make_speed_noise
+from .valve import Valve, make_valve
 
 if not TYPE_CHECKING:
     __getattr__ = moved(
@@ -51,6 +52,7 @@ class Task:
         warm_up: time driven at ``warm_up_damping`` before an episode begins, s.
         precision: "float32" or "float64", the format of the state.
         sensors: through which the signals are observed; None for ideal ones.
+        valve: between the action and the damping in force.
     """
 
     road: Road
@@ -67,6 +69,7 @@ class Task:
     warm_up_damping: float
     precision: str
     sensors: Sensors | None
+    valve: Valve
 
     @property
     def reward_by_name(self) -> dict[str, float]:
@@ -242,6 +245,7 @@ class TaskParameters(TypedDict, total=False):
     warm_up_damping: float | None
     precision: str | None
     sensors: Mapping[str, Any] | Sensors | None
+    valve: Mapping[str, Any] | Valve | None
 
 
 def make_task(
@@ -262,6 +266,7 @@ def make_task(
     warm_up_damping: float | None = None,
     precision: str | None = None,
     sensors: Mapping[str, Any] | Sensors | None = None,
+    valve: Mapping[str, Any] | Valve | None = None,
 ) -> Task:
     """Check every parameter and fill in the defaults.
 
@@ -284,13 +289,15 @@ def make_task(
         control_interval: time between actions, s; the car's by default, 0.2 / natural_frequency of one mass and 0.005 of two.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
             speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
-            two, without which the mean squares are off where D switches (`roadgym.record.interval_weights`). Fewer are less
+            two, without which the mean squares are off where D switches (`roadgym.record.interval_weights`); three times as
+            many where a valve moves D within an interval. Fewer are less
             exact: the mean squares are of fourth order in the angle, which may be 1 rad at most.
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.
         precision: "float32" or "float64"; by default what keeps the mean squares within 1e-4: single precision, but for bounded
             roads that touch their bound, slow roads and cars, and short substeps.
         sensors: `roadgym.Sensors` through which the signals are observed, or a mapping of its arguments; ideal by default.
+        valve: `roadgym.Valve` between the action and the damping in force, or a mapping of its arguments; ideal by default.
 
     Ranges of all of them are in `roadgym.parameters.RANGES`.
 
@@ -347,7 +354,10 @@ def make_task(
     warm_up = non_negative("warm_up", warm_up)
     check_ratio("warm_up", warm_up, "warm_up * w1", warm_up * w1, "relative warm-up")
     stiffness = damping[1] if warm_up_damping is None else within("warm_up_damping", warm_up_damping, "damping")
-    number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], max(damping[1], stiffness), interval, substeps)
+    the_valve = make_valve(valve)
+    the_valve.check(interval)
+    firmest, still = max(damping[1], stiffness), the_valve.is_still(interval)
+    number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], firmest, interval, substeps, still)
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
     check_ratio(
         "control_interval",
@@ -400,4 +410,5 @@ def make_task(
         warm_up_damping=stiffness,
         precision=precision,
         sensors=the_sensors,
+        valve=the_valve,
     )
