@@ -1,4 +1,4 @@
-"""The Kalman filter of a car on a road: what its sensors and the damping in force tell of its state.
+"""The Kalman filter of a car on a road: what its sensors tell of its state, and what its damper did.
 
 At a given D road and car are linear, x' = A(D) x + noise (`roadgym.linear.LinearSystem`), so over a control interval T in which
 D is held
@@ -6,11 +6,11 @@ D is held
     x(T) = Phi(D) x(0) + w,   Cov w = Q(D),   y = H(D) x(T) + v,   Cov v = R diagonal,
 
 with the acceleration among y that of the D that was in force. Biases of sensors, which are constant in an episode, and what is
-measured and not told yet are states as well; rounding to steps q counts as noise of variance q^2/12. Mean and covariance of x
-given all that was measured follow by the filter of R. E. Kalman, "A new approach to linear filtering and prediction problems",
-J. Basic Eng. 82, 1960; measurements are taken up one after the other. It is exact where road and sensors are Gaussian, for
-every rule that sets D by what was measured. On the bounded road, whose second moments are those of its linear twin, it is the
-best linear filter where D is set in advance.
+measured and not told yet are states as well; rounding to steps q counts as noise of variance q^2/12; and the commands tell what
+was in force behind a valve. Mean and covariance of x given all that was measured follow by the filter of R. E. Kalman, "A new
+approach to linear filtering and prediction problems", J. Basic Eng. 82, 1960; measurements are taken up one after the other. It
+is exact where road and sensors are Gaussian, for every rule that sets D by what was measured. On the bounded road, whose second
+moments are those of its linear twin, it is the best linear filter where D is set in advance.
 
 Phi and Q are entire functions of D: each is kept as its Chebyshev series over the range of D, at the operating point of its
 car itself. Where that is not told, a bank of filters covers its range, whose posterior weights are those of their innovations
@@ -26,7 +26,17 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .kalman_kernel import advance_beliefs, fit_series, interval_steps, spread_rows, spread_start, take_up, tell, weigh
+from .kalman_kernel import (
+    advance_beliefs,
+    fit_series,
+    follow_valve,
+    interval_steps,
+    spread_rows,
+    spread_start,
+    take_up,
+    tell,
+    weigh,
+)
 from .linear import FloatArray, LinearSystem, Motion, ShapingFilter
 from .parameters import ParameterError, whole
 from .sensors import Sensor
@@ -67,7 +77,7 @@ class Belief:
         point: frequency ratio and bandwidth of each filter, shape (n, b, 2).
         weight: posterior weight of each, shape (n, b).
         mean, covariance: of the states of car, road and sensors, shape (n b, states) and (n b, states, states).
-        damping: that was in force last, shape (n,).
+        valve: D in force, which comes first, and all else that the valve of each car keeps, shape (n, rows).
         time: control intervals since the episode began, shape (n,).
         model: of the filters, and in ``place`` where they have it.
         surprise: innovations of the last measurements over their deviations, and these, shape (2, n b, measured).
@@ -77,7 +87,7 @@ class Belief:
     weight: FloatArray
     mean: FloatArray
     covariance: FloatArray
-    damping: FloatArray
+    valve: FloatArray
     time: npt.NDArray[np.int64]
     model: Model
     place: npt.NDArray[np.int64]
@@ -138,6 +148,9 @@ class KalmanFilter:
         self._middle, self._half = (low + high) / 2, (high - low) / 2
         ratios = tuple(task.frequency_ratio(speed) for speed in task.speed)
         self._ranges = (ratios, task.bandwidth)
+        numbers = task.valve.numbers(task.control_interval, task.car.natural_frequency)
+        self._valve = tuple(float(numbers[f"valve_{name}"]) for name in ("late", "part", "levels", "rate", "rise", "fall"))
+        self._parts = 1 if task.valve.is_still(task.control_interval) else task.substeps
         self._seen = [task.signals.index(name) if name in task.signals else None for name in OPERATING_POINT]
         self._degree = self._needed_degree()
         shares = [
@@ -186,7 +199,7 @@ class KalmanFilter:
     def _series(self, points: FloatArray, degree: int) -> FloatArray:
         """Coefficients of Phi and Q, shape (points, degree + 1, 2 n^2)."""
         nodes = self._nodes(degree)
-        values = self._steps(points, self._middle + self._half * nodes, self._interval)
+        values = self._steps(points, self._middle + self._half * nodes, self._interval / self._parts)
         fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
         series = np.empty((len(points), degree + 1, values[0, 0].size))
         fit_series(fit, values.reshape(series.shape), series)
@@ -196,7 +209,9 @@ class KalmanFilter:
         """That at which the series are right at the corners of the operating range."""
         corners = np.array(list(itertools.product(*self._ranges)))
         between = np.linspace(-1, 1, 7)
-        known = self._steps(corners, self._middle + self._half * between, self._interval).reshape(len(corners), 7, 2, -1)
+        known = self._steps(corners, self._middle + self._half * between, self._interval / self._parts).reshape(
+            len(corners), 7, 2, -1
+        )
         for degree in DEGREES:
             found = np.polynomial.chebyshev.chebvander(between, degree) @ self._series(corners, degree)
             error = np.abs(found.reshape(known.shape) - known).max(axis=(0, 1, 3))
@@ -285,7 +300,7 @@ class KalmanFilter:
             weight=np.full((cars, bank), 1 / bank),
             mean=np.zeros((cars * bank, model.start.shape[-1])),
             covariance=model.start[place],
-            damping=np.full(cars, self.task.damping_range[0]),
+            valve=np.full((cars, 4 + int(self._valve[0])), self.task.damping_range[0]),
             time=np.zeros(cars, np.int64),
             model=model,
             place=place,
@@ -298,21 +313,22 @@ class KalmanFilter:
 
         Args:
             belief: what was known before it; it is left as it is.
-            damping: D that was in force in it, shape (n,).
+            damping: D that was commanded for it, within its range, shape (n,); the valve makes of it what is in force.
             observations: at its end, shape (n, signals).
         """
-        before, force = (np.repeat(each, belief.weight.shape[1]) for each in (belief.damping, np.asarray(damping, float)))
-        new = {name: getattr(belief, name).copy() for name in ("weight", "mean", "covariance")}
-        moved = dataclasses.replace(belief, **new, damping=np.array(damping, float), time=belief.time + 1)
+        names = ("weight", "mean", "covariance", "valve")
+        moved = dataclasses.replace(belief, **{name: getattr(belief, name).copy() for name in names}, time=belief.time + 1)
+        means, part = np.empty((len(belief.time), self._parts)), self._interval / self._parts
+        follow_valve(self._valve, self.task.damping_range, part, np.array(damping, float), moved.valve, means)
         known = belief.model.series, belief.model.delayed, self._lags, belief.place
-        advance_beliefs(*known, before, force, self._middle, self._half, moved.mean, moved.covariance)
+        advance_beliefs(*known, belief.valve[:, 0], means, self._middle, self._half, moved.mean, moved.covariance)
         return self._measured(moved, np.asarray(observations, np.float32))
 
     def _measured(self, belief: Belief, observations: Rows) -> Belief:
         """The belief, which is new, after what was measured; the weights of a bank are those of its innovations."""
         cars, bank = belief.weight.shape
         belief.surprise = np.empty((2, cars * bank, len(self.measured)))
-        known = belief.model.rows, belief.place, belief.damping, self._noise, self._late, self._period, belief.time
+        known = belief.model.rows, belief.place, belief.valve[:, 0], self._noise, self._late, self._period, belief.time
         measured = np.ascontiguousarray(observations[:, self._columns])
         take_up(*known, measured, belief.mean, belief.covariance, belief.surprise)
         if bank > 1:
@@ -326,7 +342,7 @@ class KalmanFilter:
             return self.begin(seen)
         fresh, own = self.begin(seen[starts]), np.repeat(starts, belief.weight.shape[1])
         result = dataclasses.replace(belief)
-        for name in ("point", "weight", "damping", "time"):
+        for name in ("point", "weight", "valve", "time"):
             setattr(result, name, getattr(belief, name).copy())
             getattr(result, name)[starts] = getattr(fresh, name)
         for name in ("mean", "covariance"):

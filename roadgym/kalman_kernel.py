@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from .actuation import driven
 from .compiled import compiled
-from .roads.linear import transition
+from .roads.linear import product, transition
 
 KNOWN = 1e-12  # share of what could be, at which the variance of a measurement is rounding, and it tells nothing
 
@@ -76,6 +77,63 @@ def spread_rows(rows: Any, start: Any, variances: Any, whole: Any) -> None:
 
 
 @compiled
+def follow_valve(numbers: Any, ends: Any, time: float, commands: Any, valve: Any, means: Any) -> None:
+    """Move the valve of each car through a control interval, as `roadgym.actuation` does.
+
+    Args:
+        numbers: late, part, levels, rate, rise and fall of `roadgym.valve.Valve.numbers`.
+        ends: of the range of D.
+        time: that each part of the interval lasts, in units of 1/w1.
+        commands: within the range, shape (n,).
+        valve: D in force, its target, and the commands that wait, the newest first, shape (n, 4 + late).
+        means: set to the mean D of each part, shape (n, parts).
+    """
+    late, part, levels, rate, rise, fall = numbers
+    low, high = ends
+    step, parts = (high - low) / max(levels - 1, 1.0), means.shape[1]
+    for i in range(len(means)):
+        for k in range(valve.shape[1] - 1, 2, -1):
+            valve[i, k] = valve[i, k - 1]
+        valve[i, 2] = low + step * np.rint((commands[i] - low) / step) if levels > 0 else commands[i]
+        newer, older = valve[i, 2 + int(late)], valve[i, 3 + int(late)]
+        for k in range(parts):
+            until = min(max(part * parts - k, 0.0), 1.0) * time
+            value, target, area = valve[i, 0], valve[i, 1], 0.0
+            if until > 0.0:
+                value, target, area, _ = driven(value, target, older, until, rate, rise, fall)
+            if until < time:
+                value, target, more, _ = driven(value, target, newer, time - until, rate, rise, fall)
+                area += more
+            valve[i, 0], valve[i, 1] = min(max(value, low), high), target
+            means[i, k] = min(max(area / time, low), high)
+
+
+@compiled
+def read_series(series: Any, damping: float, powers: Any, step: Any) -> None:
+    """Phi and Q of a part of an interval from their Chebyshev series, in terms of D from -1 to 1."""
+    degree = len(series) - 1
+    powers[0], powers[1] = 1.0, damping
+    for k in range(2, degree + 1):
+        powers[k] = 2.0 * damping * powers[k - 1] - powers[k - 2]
+    step[:] = 0.0
+    for k in range(degree + 1):
+        for e in range(len(step)):
+            step[e] += powers[k] * series[k, e]
+
+
+@compiled
+def lengthen(phi: Any, spread: Any, step: Any, work: Any) -> None:
+    """Let another step of Phi and Q follow those that are there."""
+    size = len(phi)
+    later, added = step[: size * size].reshape(size, size), step[size * size :].reshape(size, size)
+    product(later, phi, work)
+    phi[:] = work
+    product(later, spread, work)
+    product(work, later.T, spread)
+    spread += added
+
+
+@compiled
 def advance_beliefs(
     series: Any,
     delayed: Any,
@@ -88,33 +146,32 @@ def advance_beliefs(
     mean: Any,
     covariance: Any,
 ) -> None:
-    """Move means, shape (n, states), and covariances of filters over a control interval at these dampings.
+    """Move means, shape (n, states), and covariances of the filters of each car over a control interval.
 
     After the states of car and road come the biases, which stay, and for each delayed signal its last values, the newest first:
-    that at the beginning of the interval, where the damping ``before`` was in force, comes in, ``lags`` of them are kept.
+    that at the beginning of the interval, where the damping ``before`` was in force, comes in, ``lags`` of them are kept. D is
+    ``damping`` in the parts of the interval, shape (cars, parts).
     """
-    size, degree = mean.shape[1], series.shape[1] - 1
+    size, bank = mean.shape[1], len(mean) // len(damping)
     own, chains = delayed.shape[3], lags.sum()
-    step, powers = np.empty(2 * own * own), np.empty(degree + 1)
-    moved, product, pull = np.empty(size), np.empty((size, size)), np.zeros((size, size))
+    step, powers = np.empty(2 * own * own), np.empty(series.shape[1])
+    phi, spread, work = np.empty((own, own)), np.empty((own, own)), np.empty((own, own))
+    moved, turned, pull = np.empty(size), np.empty((size, size)), np.zeros((size, size))
     for a in range(own, size - chains):
         pull[a, a] = 1.0
     for i in range(len(mean)):
-        t = (damping[i] - middle) / half
-        powers[0], powers[1] = 1.0, t
-        for k in range(2, degree + 1):
-            powers[k] = 2.0 * t * powers[k - 1] - powers[k - 2]
-        step[:] = 0.0
-        for k in range(degree + 1):
-            for e in range(2 * own * own):
-                step[e] += powers[k] * series[place[i], k, e]
-        for a in range(own):
-            for b in range(own):
-                pull[a, b] = step[a * own + b]
+        car = i // bank
+        read_series(series[place[i]], (damping[car, 0] - middle) / half, powers, step)
+        phi[:] = step[: own * own].reshape(own, own)
+        spread[:] = step[own * own :].reshape(own, own)
+        for k in range(1, damping.shape[1]):
+            read_series(series[place[i]], (damping[car, k] - middle) / half, powers, step)
+            lengthen(phi, spread, step, work)
+        pull[:own, :own] = phi
         row = size - chains
         for j in range(len(lags)):
             for b in range(own):
-                pull[row, b] = delayed[place[i], 0, j, b] + before[i] * delayed[place[i], 1, j, b]
+                pull[row, b] = delayed[place[i], 0, j, b] + before[car] * delayed[place[i], 1, j, b]
             for a in range(row + 1, row + lags[j]):
                 pull[a, a - 1] = 1.0
             row += lags[j]
@@ -127,13 +184,13 @@ def advance_beliefs(
                 total = 0.0
                 for c in range(size):
                     total += pull[a, c] * covariance[i, c, b]
-                product[a, b] = total
+                turned[a, b] = total
         for a in range(size):
             mean[i, a] = moved[a]
             for b in range(a + 1):
-                total = step[own * own + a * own + b] if a < own else 0.0
+                total = spread[a, b] if a < own else 0.0
                 for c in range(size):
-                    total += product[a, c] * pull[b, c]
+                    total += turned[a, c] * pull[b, c]
                 covariance[i, a, b] = total
                 covariance[i, b, a] = total
 

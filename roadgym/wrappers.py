@@ -92,6 +92,11 @@ def _seen(known: KalmanFilter, belief: Belief, deviations: bool) -> npt.NDArray[
     return np.concatenate([means, np.minimum(known.deviations(belief), high)], axis=1)
 
 
+def _command(info: dict[str, Any]) -> Any:
+    """The damping ratios that were commanded; those in force behind an ideal valve."""
+    return info.get("damping_command", info["damping"])
+
+
 class KalmanObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Shows the mean of the state, given all that was measured and the dampings in force, as if the state were observed.
 
@@ -125,7 +130,7 @@ class KalmanObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
         """Drive one control interval."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         assert self.belief is not None  # without a reset the environment raises
-        self.belief = self.filter.advance(self.belief, [info["damping"]], observation[None])
+        self.belief = self.filter.advance(self.belief, [_command(info)], observation[None])
         return _seen(self.filter, self.belief, self._deviations)[0], reward, terminated, truncated, info
 
 
@@ -159,7 +164,7 @@ class VectorKalmanObservation(EpisodeWrapper):
             last = observations.copy()
             last[begun] = np.stack(info["final_obs"][begun])
         assert self.belief is not None  # without a reset the environment raises
-        damping = np.clip(info["damping"], *self.task.damping_range)  # none was in force in a step that only begins an episode
+        damping = np.clip(_command(info), *self.task.damping_range)  # 0 where a step only begins an episode
         belief = self.filter.advance(self.belief, damping, last)
         if "final_obs" in info:
             info = {**info, "final_obs": np.full(self.num_envs, None, object)}

@@ -69,7 +69,7 @@ def test_mean_and_covariance_are_those_of_a_filter_from_scratch(plant):
     mean, covariance = corrected(np.zeros(size), rise @ road.covariance @ rise.T, observations[1], task.damping_range[0])
     for info, seen in drive(envs, 40):
         damping = info["damping"][1]
-        belief = known.advance(belief, info["damping"], seen)
+        belief = known.advance(belief, info.get("damping_command", info["damping"]), seen)
         now = system(damping)
         block = np.block([[-now.drift, now.noise @ now.noise.T], [np.zeros((size, size)), now.drift.T]])  # of C. F. Van Loan
         right = expm(block * time)[:, size:]
@@ -84,6 +84,7 @@ SENSORS = {
     "bias": {"noise": 0.05, "bias": {"travel": 0.3}},
     "delay": {"noise": 0.05, "delay": {"travel": 0.4, "acceleration": 0.2}},
     "slow": {"noise": 0.05, "interval": {"acceleration": 0.6}, "delay": {"acceleration": 0.4}},
+    "slow valve": {"noise": 0.05},
     "coarse": {"noise": 0.02, "resolution": 0.05},
 }
 
@@ -92,12 +93,13 @@ SENSORS = {
 @pytest.mark.parametrize("sensors", SENSORS)
 def test_innovations_are_white_and_errors_as_predicted(sensors):
     plant = {**PLANTS["one mass"], "speed": (0.7, 2.0), "bandwidth": (0.1, 0.3), "warm_up": 1.0}
-    envs = batch(4096, **{**plant, "sensors": SENSORS[sensors]})
+    valve = {"delay": 0.25, "levels": 4, "rate": 5.0, "rise_time": 0.1, "fall_time": 0.05} if sensors == "slow valve" else None
+    envs = batch(4096, **{**plant, "sensors": SENSORS[sensors], "valve": valve})
     known = KalmanFilter(envs.task)
     belief = known.begin(envs.reset(seed=3)[0])
     normal, fresh = [belief.surprise[0]], [belief.surprise[1] > 0]
     for info, seen in drive(envs, 40):
-        belief = known.advance(belief, info["damping"], seen)
+        belief = known.advance(belief, info.get("damping_command", info["damping"]), seen)
         normal.append(belief.surprise[0])
         fresh.append(belief.surprise[1] > 0)
     normal, fresh = np.array(normal), np.array(fresh)
@@ -109,6 +111,7 @@ def test_innovations_are_white_and_errors_as_predicted(sensors):
             products = normal[1:, :, k] * normal[:-1, :, j]
             assert abs(products.sum()) < 4 * np.sqrt((products**2).sum() + 1)
     assert fresh[1:, :, 1].mean() == {"slow": 12 / 40, "delay": 39 / 40}.get(sensors, 1)  # what is told anew
+    np.testing.assert_allclose(belief.valve[:, 0], envs.plant.row("damping") if valve else info["damping"], atol=2e-7)
     names = known.full.signals[:4]
     errors = (known.observation(belief)[:, :4] - truth(envs, names)) / known.deviations(belief)[:, :4]
     for error in errors.T:
@@ -122,7 +125,7 @@ def test_it_is_as_good_on_the_bounded_road_as_it_says():
     known = KalmanFilter(envs.task)
     belief = known.begin(envs.reset(seed=3)[0])
     for info, seen in drive(envs, 60):
-        belief = known.advance(belief, info["damping"], seen)
+        belief = known.advance(belief, info.get("damping_command", info["damping"]), seen)
     squares = ((known.observation(belief)[:, :4] - truth(envs, known.full.signals[:4])) / known.deviations(belief)[:, :4]) ** 2
     for square in squares.T:
         assert abs(square.mean() - 1) < 4 * square.std() / np.sqrt(len(square))
@@ -143,7 +146,7 @@ def test_who_measures_all_without_noise_knows_all():
     observations, _ = envs.reset(seed=3)
     belief = known.begin(observations)
     for info, seen in drive(envs, 20):
-        belief = known.advance(belief, info["damping"], seen)
+        belief = known.advance(belief, info.get("damping_command", info["damping"]), seen)
         np.testing.assert_allclose(known.observation(belief), seen, atol=1e-6)
         assert known.deviations(belief).max() < 1e-6
 
@@ -162,7 +165,7 @@ def test_a_bank_finds_the_operating_point_that_is_hidden():
     assert belief.weight.shape == (256, 36)
     first = known.observation(belief)[:, -2].mean()
     for info, seen in drive(envs, 150):
-        belief = known.advance(belief, info["damping"], seen)
+        belief = known.advance(belief, info.get("damping_command", info["damping"]), seen)
     np.testing.assert_allclose(belief.weight.sum(axis=1), 1)
     share = known.observation(belief)[:, -2]
     ratio = share / (1 - share)
@@ -183,6 +186,7 @@ def test_each_of_a_batch_is_the_single_environment_bit_by_bit(mode, hidden):
         "observe_operating_point": not hidden,
         "warm_up": 1.0,
         "sensors": {"noise": 0.05, "bias": 0.1, "delay": {"travel": 0.2}},
+        "valve": {"rise_time": 0.1},
     }
     envs = VectorKalmanObservation(QuarterCarVectorEnv(5, max_episode_steps=7, autoreset_mode=mode, **plant), deviations=True)
     singles = [KalmanObservation(QuarterCarEnv(**plant), deviations=True) for _ in range(5)]
