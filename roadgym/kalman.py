@@ -313,13 +313,14 @@ class KalmanFilter:
 
         Args:
             belief: what was known before it; it is left as it is.
-            damping: D that was commanded for it, within its range, shape (n,); the valve makes of it what is in force.
+            damping: D that was commanded for it, shape (n,); range and valve make of it what is in force.
             observations: at its end, shape (n, signals).
         """
         names = ("weight", "mean", "covariance", "valve")
         moved = dataclasses.replace(belief, **{name: getattr(belief, name).copy() for name in names}, time=belief.time + 1)
         means, part = np.empty((len(belief.time), self._parts)), self._interval / self._parts
-        follow_valve(self._valve, self.task.damping_range, part, np.array(damping, float), moved.valve, means)
+        commands = np.clip(np.asarray(damping, float), *self.task.damping_range)
+        follow_valve(self._valve, self.task.damping_range, part, commands, moved.valve, means)
         known = belief.model.series, belief.model.delayed, self._lags, belief.place
         advance_beliefs(*known, belief.valve[:, 0], means, self._middle, self._half, moved.mean, moved.covariance)
         return self._measured(moved, np.asarray(observations, np.float32))

@@ -164,8 +164,7 @@ class VectorKalmanObservation(EpisodeWrapper):
             last = observations.copy()
             last[begun] = np.stack(info["final_obs"][begun])
         assert self.belief is not None  # without a reset the environment raises
-        damping = np.clip(_command(info), *self.task.damping_range)  # 0 where a step only begins an episode
-        belief = self.filter.advance(self.belief, damping, last)
+        belief = self.filter.advance(self.belief, _command(info), last)
         if "final_obs" in info:
             info = {**info, "final_obs": np.full(self.num_envs, None, object)}
             for i, row in zip(np.flatnonzero(begun), _seen(self.filter, belief, self._deviations)[begun], strict=True):
