@@ -217,7 +217,6 @@ def compare(
             bandwidths=bandwidths,
             episodes=episodes,
             seed=seed,
-            informed=["optimal_feedback"] if task.sensors else (),
             report=tell,
         )
     driven = iter([evaluations.pop(name) for name in drivers])

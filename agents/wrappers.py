@@ -51,14 +51,14 @@ else:
 
 
 def training_reward(chosen: Any, task: Task) -> str:
-    """What is learned from: "cost", or "advantage" where it is ``chosen`` and theory knows it on this plant.
+    """What is learned from: "cost", or "advantage" where it is ``chosen`` and theory knows it on this plant, of an ideal valve.
 
     Raises:
         ParameterError: something else is chosen.
     """
     if chosen not in ("cost", "advantage"):
         raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
-    return chosen if has_advantage(task) else "cost"
+    return chosen if has_advantage(task) and task.valve.ideal else "cost"
 
 
 @overload
@@ -414,8 +414,9 @@ class VectorAdvantageReward(EpisodeWrapper):
 def _with_advantage(env: Environment | Batch) -> Task:
     """The task, which must have an advantage."""
     task = task_of(env)
-    if not has_advantage(task):
+    if not (has_advantage(task) and task.valve.ideal):
         raise ParameterError(
-            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed"
+            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed, and an "
+            "ideal valve"
         )
     return task
