@@ -7,6 +7,7 @@ import agents
 import analysis
 from agents.controllers import CONTROLLERS
 from agents.estimation import Estimated
+from agents.export.stages import stages_of
 from agents.wrappers import learning, task_of
 from roadgym import ParameterError
 from roadgym.task import make_task
@@ -153,6 +154,8 @@ def test_an_agent_learns_on_the_filter_and_drives_by_it(tmp_path):
         observations, *_, info = envs.step(damping)
         np.testing.assert_allclose(learned.unwrapped.plant.row("displacement"), envs.plant.row("displacement"), atol=1e-6)
     assert info["damping"].std() > 0
+    with pytest.raises(agents.AgentError, match="cannot export an agent that sees by a Kalman filter"):
+        stages_of(loaded)
     with pytest.raises(ParameterError, match="unknown estimator 'x'"):
         agents.train(
             tmp_path / "other", environment=environment, hyperparameters={**hyperparameters, "estimator": "x"}, timesteps=1
