@@ -1,10 +1,14 @@
 """Rules and agents on the mean of a Kalman filter."""
 
+import json
+
 import numpy as np
 import pytest
 
 import agents
 import analysis
+from agents.cli import main
+from agents.comparison import make_rivals, table
 from agents.controllers import CONTROLLERS
 from agents.estimation import Estimated
 from agents.export.stages import stages_of
@@ -161,3 +165,53 @@ def test_an_agent_learns_on_the_filter_and_drives_by_it(tmp_path):
             tmp_path / "other", environment=environment, hyperparameters={**hyperparameters, "estimator": "x"}, timesteps=1
         )
     assert not (tmp_path / "other").exists()
+
+
+MEASURED = ["--observation", "acceleration", "--sensors", '{"noise": 0.05}', "--estimator", "kalman"]
+SMALL = ["--road", "gaussian", "--speeds", "1.5", "--bandwidths", "0.1", "--episodes", "16"]
+
+
+def test_the_command_evaluates_a_rule_on_the_filter(capsys):
+    assert main(["evaluate", "--controller", "skyhook", *SMALL, *MEASURED, "--json"]) == 0
+    filtered = json.loads(capsys.readouterr().out)["rows"][0]
+    assert main(["evaluate", "--controller", "skyhook", *SMALL, "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)["rows"][0]
+    assert seen["cost"] + 4 * seen["standard_error"] < filtered["cost"] < 0.98  # which the best constant damping costs
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["evaluate", "--controller", "skyhook", "--observation", "travel"], "--observation cannot be given with --controller"),
+        (["evaluate", "--controller", "skyhook", "--road", "harmonic", *MEASURED], "got a harmonic road"),
+        (["compare", "--road", "harmonic", *MEASURED, "--output", "results"], "got a harmonic road"),
+        (["train", "--road", "harmonic", *MEASURED, "--output", "agent"], "got a harmonic road"),
+    ],
+)
+def test_commands_refuse_in_one_line(command, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 2
+    told = capsys.readouterr().err.strip()
+    assert message in told
+    assert "\n" not in told
+    assert not list(tmp_path.glob("*/*"))
+
+
+def test_a_comparison_has_rules_on_the_filter_beside_the_reference():
+    environment = {"road": "gaussian", "speed": (1.0, 2.0), **SENSORS}
+    rivals = make_rivals(make_task(road="gaussian"), ["d_min", "skyhook"], "kalman", make_task(**environment))
+    assert list(rivals) == ["analytic_optimum", "d_min", "skyhook, filtered"]
+    compared = agents.compare(
+        None,
+        environment=environment,
+        speeds=[1.5],
+        bandwidths=[0.1],
+        controllers=["d_min", "skyhook", "skyhook_continuous"],
+        episodes=16,
+        estimator="kalman",
+        report=lambda *_: None,
+    )
+    assert set(compared.controllers) == {"analytic_optimum", "d_min", "skyhook, filtered", "skyhook_continuous, filtered"}
+    text = " ".join(table(compared).split())
+    assert "continuous skyhook, filtered" in text
+    assert "sensors tell travel, acceleration" in text

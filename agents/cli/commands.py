@@ -38,6 +38,7 @@ def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, 
 
 def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
     """Find fault with the evaluation before any long work."""
+    from roadgym.kalman import KalmanFilter
     from roadgym.parameters import whole
     from roadgym.task import make_task
 
@@ -50,6 +51,8 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     if task.bandwidth[1] == 0:
         refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
     make_points(task, **points)
+    if getattr(chosen, "estimator", None):
+        KalmanFilter(make_task(**environment))
     for name in getattr(chosen, "controllers", None) or ():
         make_controller(name, task)
     whole("episodes", chosen.episodes, low=FEWEST_EPISODES)
