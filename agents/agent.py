@@ -102,8 +102,8 @@ class Agent:
         self.task = task
         hyperparameters = description["hyperparameters"]
         self.filter = None if hyperparameters.get("estimator") is None else KalmanFilter(task)
-        seen = task if self.filter is None else self.filter.full
-        self.sight = Sight(seen, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
+        self.seen = task if self.filter is None else self.filter.full
+        self.sight = Sight(self.seen, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
         self.damping_levels = hyperparameters.get("damping_levels")
         self.layers: list[ActionLayer] = []
         if hyperparameters.get("wrappers"):

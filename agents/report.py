@@ -163,10 +163,11 @@ def theory_given(agent: Predictor) -> str | None:
     if reward is None:  # of an agent that was trained before this was noted
         return None
     hyperparameters = agent.description["hyperparameters"]
-    lookahead = has_lookahead(agent.task, hyperparameters.get("features", ()))
+    lookahead = has_lookahead(agent.seen, hyperparameters.get("features", ()))
     if hyperparameters.get("wrappers"):
         reward += f", as changed by {' and '.join(hyperparameters['wrappers'])}"
-    return f"learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
+    sees = "" if agent.filter is None else f"drives by a Kalman filter of {', '.join(agent.filter.measured)}; "
+    return f"{sees}learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
 
 
 def adjusted_by(control_variates: Sequence[float], balances: Sequence[str] = ()) -> str:

@@ -12,6 +12,7 @@ from agents.comparison import make_rivals, table
 from agents.controllers import CONTROLLERS
 from agents.estimation import Estimated
 from agents.export.stages import stages_of
+from agents.report import theory_given
 from agents.wrappers import learning, task_of
 from roadgym import ParameterError
 from roadgym.task import make_task
@@ -158,6 +159,9 @@ def test_an_agent_learns_on_the_filter_and_drives_by_it(tmp_path):
         observations, *_, info = envs.step(damping)
         np.testing.assert_allclose(learned.unwrapped.plant.row("displacement"), envs.plant.row("displacement"), atol=1e-6)
     assert info["damping"].std() > 0
+    given = "drives by a Kalman filter of travel, acceleration; learned from theory's advantage"
+    assert theory_given(loaded).startswith(given)
+    assert theory_given(loaded).endswith(", with theory's one-step lookahead among its features.")
     with pytest.raises(agents.AgentError, match="cannot export an agent that sees by a Kalman filter"):
         stages_of(loaded)
     with pytest.raises(ParameterError, match="unknown estimator 'x'"):

@@ -22,6 +22,7 @@ PLANTS = {
     "two masses": {"road": "iso_c", "car": "two_mass", "speed": 20.0, "observation": ["travel", "acceleration"]},
 }
 NOISE = {"sensors": {"noise": 0.05}}
+HIDDEN = {"observe_operating_point": False}
 
 
 def batch(number, **environment):
@@ -173,6 +174,17 @@ def test_a_bank_finds_the_operating_point_that_is_hidden():
     assert abs(np.median(ratio) - 2.5) < 0.15
     assert np.mean(np.abs(known.likeliest(belief)[:, 0] - 2.5 / 3.5) < 0.05) > 0.8
     assert np.all(known.deviations(belief)[:, -2] > 0)
+
+
+def test_a_bank_covers_what_is_hidden_alone():
+    envs = batch(3, road="gaussian", speed=(0.7, 3.0), bandwidth=(0.1, 0.5), observation=["travel", "speed"], **HIDDEN)
+    known = KalmanFilter(envs.task, hypotheses=4)
+    seen = envs.reset(seed=3)[0]
+    belief = known.begin(seen)
+    assert belief.weight.shape == (3, 4)
+    np.testing.assert_allclose(belief.point[:, :, 1], [[0.15, 0.25, 0.35, 0.45]] * 3)
+    np.testing.assert_allclose(known.observation(belief)[:, -2], seen[:, 1], rtol=1e-6)
+    assert np.all(known.deviations(belief)[:, -1] > 0)
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
