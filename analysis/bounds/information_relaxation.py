@@ -71,6 +71,8 @@ def refusal(task: Task) -> str | None:
     road = task.road.shaping_filter()
     if task.speed_noise is not None:
         return "information relaxation knows no noise on the speed"
+    if not task.valve.ideal:
+        return "information relaxation needs a damping that is held over each interval"
     if not is_second_order(task.car):
         return "information relaxation needs the car of one mass"
     if road is None or road.bandwidth is None or road.flatness is None:
