@@ -18,7 +18,9 @@ from ...feedback.policy import OptimalFeedback
 from .inner import Chain, IndexArray, Steps
 from .moments import NoisePolynomials, RoadMoments
 
-DEGREES = 8, 4  # even: of the polynomials in the noise of the slope, and in what of the level's does not follow from it
+# even degrees of the polynomials in the noise of the slope, and in what of the level's does not follow from it: where there is
+# little noise in an interval the lower ones do, and the tails of the others would only add variance
+DEGREES, FEWER, LITTLE = (8, 4), (6, 2), 0.2
 FINER = 3  # substeps for each of the task's: the polynomials ask for more of the road's moments than a cost does
 
 
@@ -124,8 +126,10 @@ class RoadChain:
         road = task.road.shaping_filter()
         assert road is not None
         ratio = float(task.frequency_ratio(task.speed[0]))
-        moments = RoadMoments(road, ratio, task.control_interval * task.car.natural_frequency, sum(DEGREES))
-        self._polynomials = NoisePolynomials(moments, *map(nodes, DEGREES))
+        interval = task.control_interval * task.car.natural_frequency
+        degrees = FEWER if ratio * interval * float(np.trace(road.noise @ road.noise.T)) < LITTLE else DEGREES
+        moments = RoadMoments(road, ratio, interval, sum(degrees))
+        self._polynomials = NoisePolynomials(moments, *map(nodes, degrees))
 
     def steps(self, road: FloatArray, added: FloatArray) -> Steps:
         """What one road does, from ``road``, shape (intervals + 1, 2), and ``added``, shape (intervals, dampings, 2)."""
