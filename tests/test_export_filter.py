@@ -20,7 +20,7 @@ TWO = {"observation": ["travel", "acceleration"], "sensors": {"noise": 0.05}}
 SLOW = {
     "noise": 0.05,
     "bias": {"travel": 0.1},
-    "delay": {"travel": 0.4, "velocity": 0.2},
+    "delay": {"travel": 0.4, "acceleration": 0.2},
     "interval": {"velocity": 0.6},
     "resolution": 0.02,
 }
@@ -125,7 +125,7 @@ def test_c_drives_by_the_filter_as_the_agent(ranging, tmp_path):
 @needs_compiler
 def test_what_is_not_measured_tells_nothing(ranging, tmp_path):
     export(ranging, "c", tmp_path)
-    answer, observations = in_c(tmp_path), driven(ranging, 200, 16)
+    answer, observations = in_c(tmp_path), driven(ranging, 200, 64)
     commands = in_python(ranging, observations)
     lost, expected = observations.copy(), answer(observations, commands)
     lost[:, 20:30, 1] = np.nan  # no acceleration for two seconds
