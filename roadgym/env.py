@@ -99,7 +99,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.signal_scale = self.task.signal_scale
         self.plant = Plant(self.task, 1, threads=1, told=True)
         self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
-        self._names = self.task.car.mean_squares
+        self._names, self._valve = self.task.car.mean_squares, not self.task.valve.ideal
         self.history: History | None = None
         self._picture: Picture | None = None
         self._window: Window | None = None
@@ -127,6 +127,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
                 self.render()
         _, _, speed, bandwidth, *_ = began.only()
         info = {**dict.fromkeys(self._names, 0.0), "damping": 0.0, "speed": speed}
+        if self._valve:
+            info["damping_command"] = 0.0
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
         return began.observations[0], info
@@ -146,6 +148,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         reward, damping, speed, bandwidth, *squares = interval.only()
         info: dict[str, Any] = dict(zip(self._names, squares))  # noqa: B905  (to be strict takes a fiftieth of the step)
         info["damping"] = damping
+        if self._valve:
+            info["damping_command"] = squares[-1]
         info["speed"] = speed
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, TwoMassCar
+from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, Sensors, TwoMassCar, Valve
 from roadgym.task import signals
 
 
@@ -19,7 +19,7 @@ def nonempty(text: str) -> str:
 
 
 def component(text: str) -> Any:
-    """A road, a speed noise or a car: its name, or the mapping that JSON tells."""
+    """A component: its name, or the mapping that JSON tells."""
     if not text.lstrip().startswith("{"):
         return text
     try:
@@ -94,6 +94,18 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
     "car": (
         "--car",
         {"type": component, "metavar": "CAR", "help": f"{CAR_NAMES}, or a JSON mapping with the key kind"},
+    ),
+    "sensors": (
+        "--sensors",
+        {
+            "type": component,
+            "metavar": "JSON",
+            "help": f"mapping of {', '.join(Sensors.__dataclass_fields__)}, each by signal or for all (ideal)",
+        },
+    ),
+    "valve": (
+        "--valve",
+        {"type": component, "metavar": "JSON", "help": f"mapping of {', '.join(Valve.__dataclass_fields__)} (ideal)"},
     ),
     "natural_frequency": (
         "--natural-frequency",
