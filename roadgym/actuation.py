@@ -91,7 +91,10 @@ def start_valve(plant: Any, lanes: Any, i: int) -> None:
 
 @compiled
 def take_commands(plant: Any, lanes: Any, work: Any) -> None:
-    """Take the damping of each lane as the command of the interval, and let those that wait move on."""
+    """Take the damping of each lane as the command of the interval, and let those that wait move on.
+
+    Where the valve moves nothing within an interval, D is what has arrived.
+    """
     rows, own = row_of(lanes, plant.valve_row), row_of(work, valve_work(plant))
     for k in range(plant.valve_rows - 3, 0, -1):
         for i in range(LANES):
@@ -105,6 +108,12 @@ def take_commands(plant: Any, lanes: Any, work: Any) -> None:
         if plant.valve_levels > 0:
             command = like(lanes, low + step * np.rint((np.float64(command) - low) / step))
         rows[WAITING + i] = command
+    if not plant.valve_moves:
+        for i in range(LANES):
+            command = rows[WAITING + plant.valve_late * LANES + i]
+            rows[IN_FORCE + i] = command
+            own[MEAN + i] = command
+            work[DAMPING + i] = command
 
 
 @compiled

@@ -67,8 +67,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
       ``signal_scale`` holds the factors that make metres, or the car's units, of them.
     - Info, in double precision: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
       ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
-      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1). At a reset no
-      interval has been driven yet: mean squares and damping are 0.
+      noise), the ``damping`` that was in force, in the mean over the interval, and the operating point ``speed`` (m/s) and
+      ``bandwidth`` (1); with a `roadgym.Valve` that is not ideal, ``damping_command`` too, the action within its range. At a
+      reset no interval has been driven yet: mean squares and damping are 0.
+    - `roadgym.Sensors` disturb the observation alone: infos, rewards and ``state`` are true values.
     - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
       stationary law and the car at rest, at zero or, of two masses, standing on the road; or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.

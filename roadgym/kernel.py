@@ -100,14 +100,14 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
     draw_words(plant, words, counters, purpose, substeps * (plant.road_words + plant.speed_words))
     block, word, own = lanes.ctypes.data, words.ctypes.data, work.ctypes.data
     car = block + np.uint64(lanes.itemsize * plant.car)
-    shares, valve = pointer(plant.shares, 0.0), plant.valve != 0 and purpose == INTERVAL
+    shares, moving = pointer(plant.shares, 0.0), plant.valve_moves != 0 and purpose == INTERVAL
     work[SHARE] = shares[0]
-    if valve:
+    if plant.valve and purpose == INTERVAL:
         take_commands(plant, lanes, work)
     for k in range(substeps):
-        if valve:
+        if moving:
             open_substep(plant, lanes, work, k)
-        if k == 0 or valve:
+        if k == 0 or moving:
             call_car(plant.car_prepare, block, car, own, plant.car_table)
             if plant.filters:
                 prepare_filters(plant, lanes, work)
@@ -120,13 +120,13 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
                     call(plant.road_prepare, block + np.uint64(lanes.itemsize * i), word, plant.road_table)
             word += np.uint64(4 * LANES * plant.speed_words)
         call(plant.road_advance, block, word, plant.road_table)
-        work[SHARE] = pointer(plant.valve_shares, 0.0)[2 * k + 1] if valve else shares[k + 1]
+        work[SHARE] = pointer(plant.valve_shares, 0.0)[2 * k + 1] if moving else shares[k + 1]
         call_car(plant.car_advance, block, car, own, plant.car_table)
         if plant.filters:
             advance_filters(plant, lanes, work)
         if more:
             add_squares(plant, lanes, work, False)
-        if valve:
+        if moving:
             close_substep(plant, lanes, work, k)
         if plant.sensors and purpose == INTERVAL:
             advance_sensors(plant, lanes, work, counters, k + 1)

@@ -35,10 +35,10 @@ PLANT = np.dtype(
         # states of the car itself, filters of its signals, and the row of the block at which the states of these begin
         *((name, np.int64) for name in ("own_states", "filters", "filter_states")),
         ("sensors", np.int64),  # signals that are observed by them
-        # is there a valve that is not ideal, `roadgym.valve`: where its rows of a block begin, how many they are, the whole
-        # intervals of its delay, its levels or 0; address of 64-bit numbers, `valve.shares_of_ends`; the rest of its delay in
-        # intervals, its largest rate and its time constants
-        *((name, np.int64) for name in ("valve", "valve_row", "valve_rows", "valve_late", "valve_levels")),
+        # is there a valve that is not ideal, `roadgym.valve`, and does it move D within an interval: where its rows of a block
+        # begin, how many they are, the whole intervals of its delay, its levels or 0; address of 64-bit numbers,
+        # `valve.shares_of_ends`; the rest of its delay in intervals, its largest rate and its time constants
+        *((name, np.int64) for name in ("valve", "valve_moves", "valve_row", "valve_rows", "valve_late", "valve_levels")),
         ("valve_shares", np.uint64),
         *((name, np.float64) for name in ("valve_part", "valve_rate", "valve_rise", "valve_fall")),
         *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),

@@ -85,6 +85,7 @@ class Valve:
         late, part = divmod(round(self.delay / interval, 9), 1)
         return {
             "valve": not self.ideal,
+            "valve_moves": not self.is_still(interval),
             "valve_late": int(late),
             "valve_part": part,
             "valve_levels": self.levels or 0,

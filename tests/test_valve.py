@@ -135,15 +135,15 @@ def test_quantisation_alone_is_that_of_the_commands_bit_by_bit():
     nearest = levels[np.abs(COMMANDS[:, None] - levels).argmin(axis=1)].astype(np.float32)
     told, _, _ = driven({"levels": 5})
     plain, _, _ = driven(None, nearest)
+    np.testing.assert_array_equal(told["damping"].astype(np.float32), plain["damping"].astype(np.float32))
     np.testing.assert_allclose(told["acceleration"], plain["acceleration"], rtol=1e-6)
-    np.testing.assert_allclose(told["damping"], plain["damping"], rtol=1e-6)
 
 
 def test_a_delay_of_whole_intervals_is_the_commands_later():
     told, _, _ = driven({"delay": 2 * INTERVAL})
     plain, _, _ = driven(None, np.concatenate([[LOW, LOW], COMMANDS[:-2]]))
-    np.testing.assert_allclose(told["acceleration"], plain["acceleration"], rtol=1e-7)
-    np.testing.assert_allclose(told["damping"], plain["damping"], rtol=1e-12)
+    np.testing.assert_array_equal(told["damping"][2:], plain["damping"][2:])
+    np.testing.assert_allclose(told["acceleration"], plain["acceleration"], rtol=1e-6)  # D_min in double precision at first
     assert "damping_command" not in plain
 
 
