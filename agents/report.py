@@ -82,7 +82,7 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
     if task.sensors is not None and "optimal_feedback" in comparison.controllers:
         found.append((title("optimal_feedback"), "full knowledge: it sees the state itself; all others see through sensors."))
-    if not task.valve.ideal:
+    if not task.ideal_valve:
         theory = "the best constant D, theory and the optimal feedback are those of an ideal valve; driven, all have this one."
         found.append(("valve", theory))
     for name, chosen in comparison.configuration.get("parameters", {}).items():

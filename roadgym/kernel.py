@@ -165,7 +165,8 @@ def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced
         if not np.isnan(forced[1, first + i]):
             bandwidth = forced[1, first + i]
     for row in range(0, lanes.size, LANES):
-        lanes[row + i] = 0.0
+        if row < plant.kept or row >= plant.kept_end:
+            lanes[row + i] = 0.0
     lanes[SPEED + i] = speed
     lanes[BANDWIDTH + i] = bandwidth
     lanes[RATE + i] = speed

@@ -22,6 +22,7 @@ from .roads import Road, make_road
 from .sensors import Sensor, Sensors, make_sensors
 from .speed import SpeedNoise, make_speed_noise
 from .valve import Valve, make_valve
+from .variation import Variation, check_variation, make_variation
 
 if not TYPE_CHECKING:
     __getattr__ = moved(
@@ -53,6 +54,7 @@ class Task:
         precision: "float32" or "float64", the format of the state.
         sensors: through which the signals are observed; None for ideal ones.
         valve: between the action and the damping in force.
+        vary: what of car and valve varies from episode to episode, around these; None for nothing.
     """
 
     road: Road
@@ -70,6 +72,27 @@ class Task:
     precision: str
     sensors: Sensors | None
     valve: Valve
+    vary: Variation | None
+
+    @property
+    def ideal_valve(self) -> bool:
+        """Is every command in force at once, in every episode?"""
+        return self.valve.ideal and not (self.vary is not None and self.vary.varies_valve)
+
+    @property
+    def holds_damping(self) -> bool:
+        """Does D in force keep its value within each control interval, in every episode?"""
+        return self.valve.is_still(self.control_interval) and not (self.vary is not None and self.vary.varies_valve)
+
+    @property
+    def cars(self) -> tuple[Car, ...]:
+        """The nominal car, and where it varies those at all combinations of the ends."""
+        return (self.car, *(() if self.vary is None else self.vary.corners))
+
+    def own_range(self, car: Car) -> tuple[float, float]:
+        """The range of damping ratios of one of the `cars` by itself."""
+        firmer, (low, high) = 1.0 if self.vary is None else self.vary.firmer(car), self.damping_range
+        return firmer * low, firmer * high
 
     @property
     def reward_by_name(self) -> dict[str, float]:
@@ -235,6 +258,7 @@ class TaskParameters(TypedDict, total=False):
     precision: str | None
     sensors: Mapping[str, Any] | Sensors | None
     valve: Mapping[str, Any] | Valve | None
+    vary: Mapping[str, Sequence[float]] | None
 
 
 def make_task(
@@ -256,6 +280,7 @@ def make_task(
     precision: str | None = None,
     sensors: Mapping[str, Any] | Sensors | None = None,
     valve: Mapping[str, Any] | Valve | None = None,
+    vary: Mapping[str, Sequence[float]] | None = None,
 ) -> Task:
     """Check every parameter and fill in the defaults.
 
@@ -287,6 +312,9 @@ def make_task(
             roads that touch their bound, slow roads and cars, and short substeps.
         sensors: `roadgym.Sensors` through which the signals are observed, or a mapping of its arguments; ideal by default.
         valve: `roadgym.Valve` between the action and the damping in force, or a mapping of its arguments; ideal by default.
+        vary: bounds (low, high) of fields of the car, such as "sprung_mass", and of the valve, such as "valve.rise_time", in
+            their own units: each episode has its own, uniform between them, see `roadgym.variation`. All else is told, and
+            acted, in terms of the nominal ``car``.
 
     Ranges of all of them are in `roadgym.parameters.RANGES`.
 
@@ -347,6 +375,15 @@ def make_task(
     the_valve.check(interval)
     firmest, still = max(damping[1], stiffness), the_valve.is_still(interval)
     number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], firmest, interval, substeps, still)
+    variation = make_variation(vary, the_car, the_valve, interval)
+    if variation is not None:
+        check_variation(variation, the_road, noise)
+        still = still and not variation.varies_valve
+        for each in variation.corners:
+            check_plant(the_road, noise, speeds, each.natural_frequency)
+            own = variation.firmer(each) * firmest
+            needed = needed_substeps(the_road, noise, each, speeds, bandwidths[1], own, interval, substeps, still)
+            number = max(number, needed)
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
     check_ratio(
         "control_interval",
@@ -384,6 +421,12 @@ def make_task(
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')
     if precision is None:
         precision = needed_precision(the_road, the_car, slowest, bandwidths, damping, interval * w1 / number)
+        for each in () if variation is None else variation.corners:
+            faster, firmer = each.natural_frequency / w1, variation.firmer(each)
+            own_damping = firmer * damping[0], firmer * damping[1]
+            step = interval * w1 * faster / number
+            if needed_precision(the_road, each, slowest / faster, bandwidths, own_damping, step) == "float64":
+                precision = "float64"
     return Task(
         road=the_road,
         speed_noise=noise,
@@ -400,4 +443,5 @@ def make_task(
         precision=precision,
         sensors=the_sensors,
         valve=the_valve,
+        vary=variation,
     )
