@@ -268,7 +268,7 @@ def evaluate(
     lasts = 300 / w1 if duration is None else positive("duration", duration)
     # what has no noise remembers its start as long as the car does
     repeats = task.road.lines is not None or task.road.periodic is not None
-    slowest = min(car.decay(end) * car.natural_frequency for car in task.cars for end in task.own_range(car))
+    slowest = min(car.decay(firmer * end) * car.natural_frequency for car, firmer in task.cars for end in task.damping_range)
     forgotten = (10 if repeats else 5) / slowest
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)

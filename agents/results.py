@@ -264,7 +264,8 @@ def make_rows(
         evaluations: those of the rivals, the analytic optimum among them.
     """
     rows = []
-    closed = not needs_simulation(task.road, task.speed_noise, task.car)  # a theory that is itself simulated proves nothing
+    # a theory that is itself simulated proves nothing, and there is no theory of many cars
+    closed = task.vary is None and not needs_simulation(task.road, task.speed_noise, task.car)
     best = evaluations["analytic_optimum"].adjusted_costs
     references = best_feedbacks(evaluations)
     rooms = gaps(evaluations, references)

@@ -14,7 +14,7 @@ from numba.core.errors import NumbaError
 
 from . import compiled, kernel
 from .cars import Car
-from .cars.varied import STATES
+from .cars.linear import STATES
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .filters import filter_table
 from .interval import CommandedInterval as CommandedInterval
@@ -138,9 +138,8 @@ class Plant:
         available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
         self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
         road, noise, vary = task.road, task.speed_noise, task.vary
-        car = task.car if vary is None else vary.driven_car
-        valve = task.valve if vary is None else vary.slowest_valve
-        self._driven = car
+        self._driven = car = task.car if vary is None else vary.driven_car
+        self._slowest = valve = task.valve if vary is None else vary.slowest_valve
         self._car = COEFFICIENT + road.rows * LANES
         self._filters = self._car + car.rows * LANES
         self._own_states = len(car.motion.own.states)
@@ -157,20 +156,18 @@ class Plant:
         self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
         self._autoreset = AUTORESET[autoreset]
         self._restarts = vary is not None and autoreset == "same_step"  # here, with another car, and not in compiled code
-        self._observed, self._results = (
-            (num_envs, len(task.signals)),
-            (SQUARES + len(task.reward) + (not valve.ideal), num_envs),
-        )
+        self._observed = num_envs, len(task.signals)
+        self._results = SQUARES + len(task.reward) + (not valve.ideal), num_envs
         self._interval = Interval if valve.ideal else CommandedInterval
         self.started = False
 
         within(f"variance of the {road.kind} road", road.variance, "variance")
         self._substep = task.control_interval * car.natural_frequency / task.substeps
-        low, high = min(*task.damping_range, task.warm_up_damping), max(*task.damping_range, task.warm_up_damping)
-        self._met = low, high
+        dampings = *task.damping_range, task.warm_up_damping
+        self._met = min(dampings), max(dampings)
         self._tables = {
             "road": padded_table(f"table of the {road.kind} road", road.table(), self.dtype),
-            "car": padded_table(f"table of the {car.kind} car", car.table(self._substep, (low, high)), self.dtype),
+            "car": padded_table(f"table of the {car.kind} car", car.table(self._substep, self._met), self.dtype),
         }
         if noise is not None:
             table = noise.table(self._substep, car.natural_frequency, road)
@@ -191,11 +188,10 @@ class Plant:
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
         self._record = self._make_record()
-        self.drawn = self._drawn = np.zeros((0, num_envs))
+        self.drawn = self._drawn = np.zeros((0 if vary is None else len(vary.names), num_envs))
         if vary is not None:  # lanes beyond the last environment keep the nominal car
-            nominal = car.numbers(task.car, task.valve, 1.0, self._substep, task.control_interval, self._met)
+            nominal = vary.driven_car.numbers(task.car, task.valve, 1.0, self._substep, task.control_interval, self._met)
             self._own_numbers[:] = nominal[:, None]
-            self._drawn = np.zeros((len(vary.names), num_envs))
 
     def _observed_code(self, name: str) -> int:
         """How the kernel finds an observed signal."""
@@ -211,8 +207,7 @@ class Plant:
     def _make_record(self) -> npt.NDArray[Any]:
         """The plant as the kernel knows it; its addresses belong to this process."""
         task, road, noise, car = self.task, self.task.road, self.task.speed_noise, self._driven
-        vary = task.vary
-        valve = task.valve if vary is None else vary.slowest_valve
+        vary, valve = task.vary, self._slowest
         record = np.zeros(1, PLANT)
         functions: dict[str, tuple[Road | SpeedNoise | Car, LaneFunction | None]] = {
             "road_prepare": (road, road.prepare),
@@ -254,7 +249,7 @@ class Plant:
             "warm_up_steps": round(task.warm_up / task.control_interval),
             "max_episode_steps": self._max_episode_steps,
             "autoreset": DISABLED if self._restarts else self._autoreset,
-            **self._own_places(),
+            **({} if vary is None else vary.places(self._car)),
             "substep": self._substep,
             "warm_up_damping": task.warm_up_damping,
             "saturation": SATURATION,
@@ -267,21 +262,11 @@ class Plant:
             record[name] = number
         return record
 
-    def _own_places(self) -> dict[str, int]:
-        """Where lanes have numbers of their own."""
-        if self.task.vary is None:
-            return {}
-        car = self.task.vary.driven_car
-        places = {"own_signals": car.signal_row, "own_sources": car.source_row if car.motion.filters else None}
-        places |= {"own_valve": car.valve_row if self.task.vary.varies_valve else None}
-        found = {name: self._car + row for name, row in places.items() if row is not None}
-        return found | {"kept": self._car + STATES * LANES, "kept_end": self._car + car.rows * LANES}
-
     @property
     def _own_numbers(self) -> npt.NDArray[Any]:
         """The numbers of each lane's own car, shape (blocks, rows, LANES)."""
-        places = self._own_places()
-        return self._state.reshape(self.blocks, -1, LANES)[:, places["kept"] // LANES : places["kept_end"] // LANES]
+        rows = slice(self._car // LANES + STATES, self._filters // LANES)
+        return self._state.reshape(self.blocks, -1, LANES)[:, rows]
 
     def _draw(self, mask: npt.NDArray[np.bool_]) -> None:
         """Give the masked environments, which are about to begin their next episode, the cars of that."""
@@ -383,10 +368,8 @@ class Plant:
         self._run(kernel.step_blocks, actions, observations, results, truncated, final)
         if self._restarts and truncated.any():
             final[:] = observations
-            self._draw(truncated)
-            begun = np.empty_like(observations)
-            self._run(kernel.reset_blocks, self.forced({}), truncated, begun, np.zeros(self._results))
-            observations[truncated] = begun[truncated]
+            told, begun = self.drawn, self.reset(self.forced({}), truncated).observations
+            self.drawn, observations[truncated] = told, begun[truncated]
         return self._interval(observations, results, truncated, final)
 
     def trace(self, actions: npt.NDArray[np.float32]) -> tuple[Interval, npt.NDArray[Any], npt.NDArray[Any]]:

@@ -22,7 +22,7 @@ from .roads import Road, make_road
 from .sensors import Sensor, Sensors, make_sensors
 from .speed import SpeedNoise, make_speed_noise
 from .valve import Valve, make_valve
-from .variation import Variation, check_variation, make_variation
+from .variation import Variation, make_variation
 
 if not TYPE_CHECKING:
     __getattr__ = moved(
@@ -85,14 +85,9 @@ class Task:
         return self.valve.is_still(self.control_interval) and not (self.vary is not None and self.vary.varies_valve)
 
     @property
-    def cars(self) -> tuple[Car, ...]:
-        """The nominal car, and where it varies those at all combinations of the ends."""
-        return (self.car, *(() if self.vary is None else self.vary.corners))
-
-    def own_range(self, car: Car) -> tuple[float, float]:
-        """The range of damping ratios of one of the `cars` by itself."""
-        firmer, (low, high) = 1.0 if self.vary is None else self.vary.firmer(car), self.damping_range
-        return firmer * low, firmer * high
+    def cars(self) -> tuple[tuple[Car, float], ...]:
+        """The nominal car, and where it varies those at the ends, each with what makes a nominal damping ratio its own."""
+        return ((self.car, 1.0),) if self.vary is None else self.vary.cars
 
     @property
     def reward_by_name(self) -> dict[str, float]:
@@ -312,9 +307,8 @@ def make_task(
             roads that touch their bound, slow roads and cars, and short substeps.
         sensors: `roadgym.Sensors` through which the signals are observed, or a mapping of its arguments; ideal by default.
         valve: `roadgym.Valve` between the action and the damping in force, or a mapping of its arguments; ideal by default.
-        vary: bounds (low, high) of fields of the car, such as "sprung_mass", and of the valve, such as "valve.rise_time", in
-            their own units: each episode has its own, uniform between them, see `roadgym.variation`. All else is told, and
-            acted, in terms of the nominal ``car``.
+        vary: bounds (low, high) of fields of the car, such as "sprung_mass", and of the valve, such as "valve.rise_time":
+            each episode has its own, told and acted in terms of the nominal ``car``; see `roadgym.variation`.
 
     Ranges of all of them are in `roadgym.parameters.RANGES`.
 
@@ -374,16 +368,15 @@ def make_task(
     the_valve = make_valve(valve)
     the_valve.check(interval)
     firmest, still = max(damping[1], stiffness), the_valve.is_still(interval)
-    number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], firmest, interval, substeps, still)
-    variation = make_variation(vary, the_car, the_valve, interval)
-    if variation is not None:
-        check_variation(variation, the_road, noise)
-        still = still and not variation.varies_valve
-        for each in variation.corners:
-            check_plant(the_road, noise, speeds, each.natural_frequency)
-            own = variation.firmer(each) * firmest
-            needed = needed_substeps(the_road, noise, each, speeds, bandwidths[1], own, interval, substeps, still)
-            number = max(number, needed)
+    variation = make_variation(vary, the_car, the_valve, interval, the_road, noise)
+    cars = ((the_car, 1.0),) if variation is None else variation.cars
+    still = still and not (variation is not None and variation.varies_valve)
+    for each, _ in cars[1:]:
+        check_plant(the_road, noise, speeds, each.natural_frequency)
+    number = max(
+        needed_substeps(the_road, noise, each, speeds, bandwidths[1], firmer * firmest, interval, substeps, still)
+        for each, firmer in cars
+    )
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
     check_ratio(
         "control_interval",
@@ -420,13 +413,18 @@ def make_task(
     if the_road.precision == "float64" and precision == "float32":
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')
     if precision is None:
-        precision = needed_precision(the_road, the_car, slowest, bandwidths, damping, interval * w1 / number)
-        for each in () if variation is None else variation.corners:
-            faster, firmer = each.natural_frequency / w1, variation.firmer(each)
-            own_damping = firmer * damping[0], firmer * damping[1]
-            step = interval * w1 * faster / number
-            if needed_precision(the_road, each, slowest / faster, bandwidths, own_damping, step) == "float64":
-                precision = "float64"
+        formats = [
+            needed_precision(
+                the_road,
+                each,
+                speeds[0] * the_road.wavenumber / each.natural_frequency,
+                bandwidths,
+                (firmer * damping[0], firmer * damping[1]),
+                interval * each.natural_frequency / number,
+            )
+            for each, firmer in cars
+        ]
+        precision = max(formats)  # float64, where one needs it
     return Task(
         road=the_road,
         speed_noise=noise,

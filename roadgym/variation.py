@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .cars import Car
-from .cars.varied import VariedCar
+from .cars.varied import SERIES, VariedCar
 from .compiled import LANES, compiled
 from .noise import CAR, philox, uniform
 from .parameters import RANGES, ParameterError, number, shown
@@ -73,6 +73,11 @@ class Variation:
             found.append(self.drawn([chosen[name] for name in self.names])[0])
         return tuple(found)
 
+    @property
+    def cars(self) -> tuple[tuple[Car, float], ...]:
+        """The nominal car and the corners, each with its `firmer`."""
+        return tuple((car, self.firmer(car)) for car in (self.car, *self.corners))
+
     def drawn(self, values: Sequence[float]) -> tuple[Car, Valve]:
         """The car and the valve with these values of the fields, in order.
 
@@ -94,6 +99,17 @@ class Variation:
     def driven_car(self) -> VariedCar:
         """What compiled code knows of all of them."""
         return VariedCar(nominal=self.car)
+
+    def places(self, first: int) -> dict[str, int]:
+        """Where the numbers of lanes are in a block whose rows of the car begin at ``first``, see `roadgym.record.PLANT`."""
+        car, filters = self.driven_car, bool(self.car.motion.filters)
+        return {
+            "kept": first + SERIES,
+            "kept_end": first + car.rows * LANES,
+            "own_signals": first + car.signal_row,
+            "own_sources": filters * (first + car.source_row),
+            "own_valve": self.varies_valve * (first + car.valve_row),
+        }
 
     def numbers(
         self, values: npt.NDArray[np.float64], substep: float, interval: float, damping: tuple[float, float]
@@ -119,23 +135,24 @@ class Variation:
 def _fill(words: Any, first: Any, second: Any, episodes: Any, shares: Any) -> None:
     for j in range(words.size):
         for i in range(episodes.size):
-            word, _, _, _ = philox(
-                words[j], np.uint32(0), episodes[i] + np.uint32(1), np.uint32(CAR), first[i], second[i]
-            )
+            word, _, _, _ = philox(words[j], np.uint32(0), episodes[i] + np.uint32(1), np.uint32(CAR), first[i], second[i])
             shares[j, i] = uniform(word)
 
 
-def make_variation(vary: Any, car: Car, valve: Valve, interval: float) -> Variation | None:
+def make_variation(
+    vary: Any, car: Car, valve: Valve, interval: float, road: Road, speed_noise: SpeedNoise | None
+) -> Variation | None:
     """What varies, from a mapping of fields of the car, or of the valve as "valve.rise_time", to (low, high); None for nothing.
 
     Args:
         vary: the mapping, or None.
         car, valve: the nominal ones.
         interval: the control interval, s.
+        road, speed_noise: what they drive on.
 
     Raises:
         ParameterError: a field that is not there or no number, a range that is none, or that holds a value which car or valve
-            refuse.
+            refuse, or with which other signals are infinite.
     """
     if vary is None:
         return None
@@ -143,7 +160,8 @@ def make_variation(vary: Any, car: Car, valve: Valve, interval: float) -> Variat
         raise ParameterError(f"vary must be a mapping from fields of the car or of the valve to (low, high), got {shown(vary)}")
     if not car.is_its_motion:
         raise ParameterError(f"vary needs a car that is its motion alone, as every LinearCar is, got the {car.kind} car")
-    fields = [field.name for field in dataclasses.fields(car) if isinstance(getattr(car, field.name), float)]
+    numbers = {field.name: getattr(car, field.name) for field in dataclasses.fields(car)}
+    fields = [name for name, value in numbers.items() if isinstance(value, (int, float)) and not isinstance(value, bool)]
     known = [*fields, *(OF_VALVE + name for name in VALVE_FIELDS)]
     ranges = []
     for name, ends in vary.items():
@@ -152,7 +170,11 @@ def make_variation(vary: Any, car: Car, valve: Valve, interval: float) -> Variat
         if name in (*car.mean_squares, "damping", "speed", "bandwidth"):
             raise ParameterError(f"vary cannot tell the field {name!r} from the info of that name")
         listed = isinstance(ends, Sequence) and not isinstance(ends, (str, bytes)) and len(ends) == 2
-        low, high = (number(f"{end} end of vary {name}", value) for end, value in zip(("low", "high"), ends, strict=True)) if listed else (0, 0)
+        low, high = (
+            (number(f"{end} end of vary {name}", value) for end, value in zip(("low", "high"), ends, strict=True))
+            if listed
+            else (0, 0)
+        )
         if not low < high:
             raise ParameterError(f"vary {name} must be a pair (low, high) with low < high, got {shown(ends)}")
         ranges.append((name, low, high))
@@ -166,17 +188,11 @@ def make_variation(vary: Any, car: Car, valve: Valve, interval: float) -> Variat
                 nominal.drawn([end])[1].check(interval)
             except ParameterError as error:
                 raise ParameterError(f"vary {name} holds a value that is refused: {error}") from None
-    return found
-
-
-def check_variation(variation: Variation, road: Road, speed_noise: SpeedNoise | None) -> None:
-    """Raise `ParameterError` unless all that can be drawn has the signals of the nominal car, and those that are infinite too."""
-    nominal = variation.car
-    for corner in variation.corners:
-        if (corner.motion.states, list(corner.motion.signals)) != (nominal.motion.states, list(nominal.motion.signals)):
-            raise ParameterError(f"vary must leave a {nominal.kind} car its states and signals")
-        infinite = {*divergent_terms(corner, road, speed_noise)} ^ {*divergent_terms(nominal, road, speed_noise)}
+    for corner in found.corners:
+        if (corner.motion.states, list(corner.motion.signals)) != (car.motion.states, list(car.motion.signals)):
+            raise ParameterError(f"vary must leave a {car.kind} car its states and signals")
+        infinite = {*divergent_terms(corner, road, speed_noise)} ^ {*divergent_terms(car, road, speed_noise)}
         for name in sorted(infinite):
-            raise ParameterError(
-                f"vary must leave {name} finite or infinite, as it is in the nominal car, on {divergence_cause(road, speed_noise)}"
-            )
+            cause = divergence_cause(road, speed_noise)
+            raise ParameterError(f"vary must leave {name} finite or infinite, as it is in the nominal car, on {cause}")
+    return found

@@ -1,6 +1,7 @@
 """Cars that differ from episode to episode: what is drawn, who is told, and that what drives is the car that was drawn."""
 
 import json
+import pickle
 import warnings
 
 import gymnasium
@@ -9,8 +10,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+import agents
 import analysis
 import roadgym
+from agents.cli import main
+from agents.hyperparameters import load_hyperparameters
+from agents.report import notes
 from agents.wrappers import training_reward
 from roadgym import ParameterError, TwoMassCar
 from roadgym.env import QuarterCarEnv
@@ -106,8 +111,11 @@ def test_draws_are_uniform_and_independent():
     _, first = envs.reset(seed=1)
     _, second = envs.reset()
     names = envs.task.vary.names
-    rows = np.array([(info[name] - low) / (high - low) for info in (first, second) for name, low, high in envs.task.vary.ranges])
-    assert 0 <= rows.min() < 0.002 and 0.998 < rows.max() <= 1
+    rows = np.array(
+        [(info[name] - low) / (high - low) for info in (first, second) for name, low, high in envs.task.vary.ranges]
+    )
+    assert 0 <= rows.min() < 0.002
+    assert 0.998 < rows.max() <= 1
     z = (rows.mean(axis=1) - 0.5) * np.sqrt(12 * 2000)
     assert np.abs(z).max() < 4
     spread = ((rows - 0.5) ** 2).mean(axis=1) - 1 / 12
@@ -125,7 +133,8 @@ def test_draws_depend_on_seed_episode_and_field_alone():
         found.append([info["tyre_rate"] for info in infos])
     np.testing.assert_array_equal(*found)
     assert len({tuple(row) for row in found[0]}) == 3  # the episodes
-    assert (found[0][3] == found[0][0]).all() and (found[0][4] != found[0][3]).all()  # the last step tells of its own episode
+    assert (found[0][3] == found[0][0]).all()  # the last step tells of its own episode
+    assert (found[0][4] != found[0][3]).all()
 
 
 @pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP", "DISABLED"])
@@ -194,7 +203,8 @@ def test_gymnasium_knows_it():
     batch = gymnasium.make_vec(roadgym.ENVIRONMENT_ID, num_envs=2, vary=RANGES, vector_kwargs={}, **TWO)
     assert batch.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     _, info = batch.reset(seed=1)
-    assert info["sprung_mass"].dtype == np.float64 and info["_sprung_mass"].all()
+    assert info["sprung_mass"].dtype == np.float64
+    assert info["_sprung_mass"].all()
 
 
 @pytest.mark.parametrize(
@@ -231,3 +241,58 @@ def test_what_cannot_vary_is_refused_in_one_line(vary, said):
 def test_a_delay_that_outlasts_an_episode_is_refused():
     with pytest.raises(ParameterError, match="delay of the valve must be shorter than an episode"):
         QuarterCarVectorEnv(1, max_episode_steps=2, vary={"valve.delay": [0.0, 0.02]}, **TWO)
+
+
+def test_evaluations_draw_cars_for_all_alike_and_claim_no_theory():
+    varied = TWO | {"vary": RANGES}
+    task = make_task(**varied)
+    rivals = {name: agents.make_controller(name, task) for name in ("analytic_optimum", "skyhook")}
+    size = {"speeds": [20.0], "episodes": 64, "duration": 1.0, "transient": 1.0}
+    results = agents.evaluate(rivals, environment=varied, **size)
+    fixed = agents.evaluate(rivals, environment=TWO, **size)
+    for name, found in results.items():
+        assert (found.control_variates, found.balances) == ((), ())
+        np.testing.assert_array_equal(found.adjusted_costs, found.costs)
+        assert (found.costs != fixed[name].costs).all()
+    pairs = np.corrcoef(results["skyhook"].costs[0], results["analytic_optimum"].costs[0])
+    assert pairs[0, 1] > 0.5  # the same cars
+    compared = agents.compare(
+        None, environment=varied, speeds=[20.0], controllers=["d_min"], episodes=16, report=lambda *_: None
+    )
+    assert all(row.theory is None for row in compared.rows)
+    (note,) = (text for name, text in notes(compared) if name == "cars")
+    assert "sprung_mass within 180 to 300" in note
+    assert "nominal" in note
+
+
+def test_an_agent_trains_on_cars_that_differ_and_keeps_their_law(tmp_path):
+    hyperparameters = load_hyperparameters("ppo") | {"n_envs": 8, "n_steps": 64, "batch_size": 64}
+    agent = agents.train(tmp_path, environment=TWO | {"vary": RANGES | LAGS}, hyperparameters=hyperparameters, timesteps=1)
+    assert agent.description["training_reward"] == "cost"
+    assert agents.load(tmp_path).task.vary == make_task(vary=RANGES | LAGS, **TWO).vary
+
+
+def test_the_command_line_takes_it(capsys):
+    given = ["--car", "two_mass", "--vary", '{"sprung_mass": [180, 300]}', "--speeds", "20", "--episodes", "16"]
+    assert main(["evaluate", "--controller", "skyhook", *given]) == 0
+    assert "cost" in capsys.readouterr().out
+    given[3] = '{"sprung_mass": [0, 300]}'
+    assert main(["evaluate", "--controller", "skyhook", *given]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_pictures_show_the_car_that_is_drawn():
+    env = QuarterCarEnv(render_mode="rgb_array", vary=RANGES | LAGS, **TWO)
+    env.reset(seed=1)
+    env.step(np.array([0.5], np.float32))
+    assert env.render().shape == (640, 800, 3)
+
+
+def test_a_copy_drives_on_as_the_batch_does():
+    envs = QuarterCarVectorEnv(3, max_episode_steps=3, autoreset_mode="SAME_STEP", vary=RANGES, **TWO)
+    envs.reset(seed=1)
+    other = pickle.loads(pickle.dumps(envs))
+    for _ in range(5):
+        left, right = (each.step(np.full((3, 1), 0.3, np.float32)) for each in (envs, other))
+        np.testing.assert_array_equal(left[0], right[0])
+        np.testing.assert_array_equal(left[4]["sprung_mass"], right[4]["sprung_mass"])

@@ -38,11 +38,17 @@ from .linear import (
 
 SERIES = STATES * LANES  # first of the rows of a lane's own numbers, after the states
 TERMS = FACTORS * (DEGREE + 1)
-VALVE_NUMBERS = ("valve_late", "valve_part", "valve_rate", "valve_rise", "valve_fall")  # of `roadgym.record.PLANT`, one row each
+VALVE_NUMBERS = (
+    "valve_late",
+    "valve_part",
+    "valve_rate",
+    "valve_rise",
+    "valve_fall",
+)  # of `roadgym.record.PLANT`, one row each
 
 
 def exponentials(matrices: FloatArray) -> FloatArray:
-    """Of matrices, shape (..., n, n), by Taylor's series and squaring; without LAPACK, whose threads cost more than the work."""
+    """Of matrices, shape (..., n, n), by Taylor's series and squaring: as many at once as there are."""
     size = float(np.abs(matrices).sum(axis=-1).max())
     halvings = max(0, math.ceil(math.log2(max(size, 1e-9) / 0.5)))
     small = matrices / 2**halvings
@@ -163,4 +169,6 @@ class VariedCar(LinearCar):
             source[:, -2] /= faster
             sources.append(source.ravel())
         told = valve.numbers(interval, nominal.natural_frequency)
-        return np.concatenate([(factors.T @ _powers_of_values()).ravel(), rows.ravel(), *sources, [told[name] for name in VALVE_NUMBERS]])
+        return np.concatenate(
+            [(factors.T @ _powers_of_values()).ravel(), rows.ravel(), *sources, [told[name] for name in VALVE_NUMBERS]]
+        )
