@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .compiled import DAMPING, LANES, SHARE, compiled, like, pointer
-from .signals import COMMAND, MEAN, add_row, clip, own_factor, row_of, square_row, valve_work, write_smooth
+from .signals import COMMAND, MEAN, add_row, clip, own_factor, row_of, square_row, valve_work, write_own, write_smooth
 
 # rows of the valve in a block: D in force, its target, and the commands that wait, the newest first
 IN_FORCE, TARGET, WAITING = 0 * LANES, 1 * LANES, 2 * LANES
@@ -154,7 +154,11 @@ def open_substep(plant: Any, lanes: Any, work: Any, k: int) -> None:
 def add_gain(plant: Any, lanes: Any, work: Any) -> None:
     """Add what the spread of D adds to the square of the damper's force now, 4 s^2 rv^2, with the share of this instant."""
     own = row_of(work, valve_work(plant))
-    write_smooth(plant, lanes, plant.relative, row_of(work, valve_work(plant) + RELATIVE))
+    relative = row_of(work, valve_work(plant) + RELATIVE)
+    if plant.own_signals:
+        write_own(plant, lanes, plant.relative, relative)
+    else:
+        write_smooth(plant, lanes, plant.relative, relative)
     share = like(lanes, 4.0) * work[SHARE]
     for i in range(LANES):
         own[GAIN + i] += share * own[SPREAD + i] * own[RELATIVE + i] * own[RELATIVE + i]

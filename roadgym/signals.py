@@ -113,7 +113,7 @@ def own_factor(plant: Any, lanes: Any, k: int, term: int) -> Any:
 
 @compiled
 def write_own(plant: Any, lanes: Any, k: int, row: Any) -> None:
-    """`write_smooth` where each lane has factors of its own."""
+    """Write signal ``k``, but for the damper's force, to a row, where each lane has factors of its own."""
     factor = own_factor(plant, lanes, k, plant.states + 1)
     for i in range(LANES):
         row[i] = factor[i] * (lanes[RATE + i] * lanes[SLOPE + i])
@@ -127,9 +127,6 @@ def write_own(plant: Any, lanes: Any, k: int, row: Any) -> None:
 @compiled
 def write_smooth(plant: Any, lanes: Any, k: int, row: Any) -> None:
     """Write signal ``k``, but for the damper's force, to a row."""
-    if plant.own_signals:
-        write_own(plant, lanes, k, row)
-        return
     factors, first = pointer(plant.factors, 0.0), k * (plant.states + 3)
     fresh = True
     for j in range(plant.states + 1):
@@ -149,18 +146,40 @@ def write_signal(plant: Any, lanes: Any, work: Any, k: int) -> Any:
     """Write signal ``k`` of the car to the row that is returned."""
     row, relative = row_of(work, signal_row(plant)), row_of(work, signal_row(plant) + LANES)
     write_smooth(plant, lanes, k, row)
-    if plant.own_signals:
-        write_smooth(plant, lanes, plant.relative, relative)
-        factor = own_factor(plant, lanes, k, plant.states + 2)
-        for i in range(LANES):
-            row[i] += like(lanes, 2.0) * factor[i] * work[DAMPING + i] * relative[i]
-        return row
     force = like(lanes, 2.0 * pointer(plant.factors, 0.0)[k * (plant.states + 3) + plant.states + 2])
     if force != 0:
         write_smooth(plant, lanes, plant.relative, relative)
         for i in range(LANES):
             row[i] += force * work[DAMPING + i] * relative[i]
     return row
+
+
+@compiled
+def write_own_signal(plant: Any, lanes: Any, work: Any, k: int) -> Any:
+    """`write_signal` where each lane has factors of its own."""
+    row, relative = row_of(work, signal_row(plant)), row_of(work, signal_row(plant) + LANES)
+    write_own(plant, lanes, k, row)
+    write_own(plant, lanes, plant.relative, relative)
+    factor = own_factor(plant, lanes, k, plant.states + 2)
+    for i in range(LANES):
+        row[i] += like(lanes, 2.0) * factor[i] * work[DAMPING + i] * relative[i]
+    return row
+
+
+@compiled
+def write_observed(plant: Any, lanes: Any, work: Any, k: int) -> Any:
+    """Write signal ``k`` of any car to the row that is returned."""
+    return write_own_signal(plant, lanes, work, k) if plant.own_signals else write_signal(plant, lanes, work, k)
+
+
+@compiled
+def add_own_squares(plant: Any, lanes: Any, work: Any, fresh: bool) -> None:
+    """`add_squares` where each lane has factors of its own."""
+    for k in range(plant.signals):
+        row = write_own_signal(plant, lanes, work, k)
+        for i in range(LANES):
+            row[i] *= row[i]
+        add_row(row_of(work, square_row(plant, k)), row, work[SHARE], fresh)
 
 
 @compiled
