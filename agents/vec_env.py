@@ -16,14 +16,16 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from roadgym import ENVIRONMENT_ID
 from roadgym.env import QuarterCarEnv, check_options
 from roadgym.installation import needs
+from roadgym.kalman import HYPOTHESES
 from roadgym.moved import moved
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
+from roadgym.wrappers import KalmanObservation
 
 from .actions import damping_from_action as damping_from_action
 from .features import Sight as Sight
-from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, wrap
+from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, task_of, wrap
 
 with needs("train"):
     from stable_baselines3.common.monitor import Monitor
@@ -45,6 +47,8 @@ def _described(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
                 found |= layer.arguments
             case AdvantageReward():
                 found["training_reward"] = "advantage"
+            case KalmanObservation() if layer.arguments == {"deviations": False, "hypotheses": HYPOTHESES}:
+                found["estimator"] = "kalman"
             case TimeLimit():
                 found["max_episode_steps"] = layer._max_episode_steps
             case Monitor(results_writer=None, info_keywords=()) | OrderEnforcing() | PassiveEnvChecker():
@@ -90,7 +94,7 @@ class QuarterCarVecEnv(VecEnv):
         num_envs: number of environments.
         max_episode_steps: steps in an episode; None for no limit.
         environment: parameters of `roadgym.vector.QuarterCarVectorEnv`.
-        features, frame_stack, damping_levels, training_reward: see `agents.wrappers.learning`.
+        features, frame_stack, damping_levels, training_reward, estimator: see `agents.wrappers.learning`.
         wrappers: Gymnasium's or one's own around all this, each a "module:name"; see `agents.wrappers.wrap`. Where the cost is
             paid, the return "r" is that of their reward.
         render_mode: "rgb_array" for pictures, as stable-baselines3's ``VecVideoRecorder`` takes them. What they show is
@@ -107,6 +111,7 @@ class QuarterCarVecEnv(VecEnv):
         frame_stack: int = 1,
         damping_levels: int | None = None,
         training_reward: str = "cost",
+        estimator: str | None = None,
         wrappers: Sequence[str] = (),
         render_mode: str | None = None,
     ) -> None:
@@ -124,7 +129,6 @@ class QuarterCarVecEnv(VecEnv):
             **(environment or {}),
         )
         self.envs.render_mode = None  # until somebody asks for a picture, see `get_images`
-        self.task = self.envs.task
         self.render_mode = render_mode
         learned = learning(
             self.envs,
@@ -132,7 +136,9 @@ class QuarterCarVecEnv(VecEnv):
             frame_stack=frame_stack,
             damping_levels=damping_levels,
             training_reward=training_reward,
+            estimator=estimator,
         )
+        self.task = task_of(learned)
         self._batch, _ = wrap(learned, wrappers)
         super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self.metadata |= {"render_fps": self.envs.metadata["render_fps"]}

@@ -80,7 +80,7 @@ def main() -> None:
 
     places: dict[str, dict[str, Any]] = {"unseen cars": {"vary": LAW}}
     places |= {f"lag {lag:g} ms": {"valve": {"rise_time": lag / 1e3, "fall_time": lag / 1e3}} for lag in chosen.lags}
-    print("cost over that of the best constant damping of the nominal car, in per cent less, and its standard error")
+    print("saved of the cost of the best constant damping of the nominal car, in per cent, with standard errors")
     print(f"{'':>15}", *(f"{name:>18}" for name in (*rivals, *learned)))
     for where, own in places.items():
         # paired: episode i has the same road and the same car whoever drives

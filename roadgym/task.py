@@ -16,7 +16,7 @@ from .compiled import LaneFunction
 from .moved import moved
 from .parameters import ParameterError, check_ratio, non_negative, pair, positive, positive_range, shown, whole, within
 from .record import OBSERVED
-from .resolution import needed_precision, needed_substeps
+from .resolution import needed_substeps, strictest_precision
 from .reward import asked_signals, check_weights, cost_unit, divergence_cause, divergent_terms
 from .roads import Road, make_road
 from .sensors import Sensor, Sensors, make_sensors
@@ -179,6 +179,17 @@ def _observable(car: Car, road: Road, speed_noise: SpeedNoise | None, bandwidth:
     return names
 
 
+def _states(car: Car, observable: Sequence[str]) -> list[str]:
+    """The states of car and road that can be observed, which is what is observed by default."""
+    return [name for name in (*car.motion.states, "level", "slope") if name in observable]
+
+
+def observed_states(task: Task) -> tuple[str, ...]:
+    """What a task observes where nothing else is asked for: the states of car and road, and the operating point."""
+    observable = _observable(task.car, task.road, task.speed_noise, task.bandwidth)
+    return (*_states(task.car, observable), *(name for name in OPERATING_POINT if name in observable))
+
+
 def check_component(component: Road | SpeedNoise | Car, what: str) -> None:
     """Check what a component, which may be somebody's own, says of itself: its lane functions, their rows and words.
 
@@ -339,7 +350,7 @@ def make_task(
 
     observable = _observable(the_car, the_road, noise, bandwidths)
     if observation is None:
-        observation = [name for name in (*the_car.motion.states, "level", "slope") if name in observable]
+        observation = _states(the_car, observable)
     if isinstance(observation, str) or not isinstance(observation, Sequence):
         raise ParameterError(f"observation must be a sequence of signal names, got {shown(observation)}")
     names = list(observation)
@@ -413,18 +424,8 @@ def make_task(
     if the_road.precision == "float64" and precision == "float32":
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')
     if precision is None:
-        formats = [
-            needed_precision(
-                the_road,
-                each,
-                speeds[0] * the_road.wavenumber / each.natural_frequency,
-                bandwidths,
-                (firmer * damping[0], firmer * damping[1]),
-                interval * each.natural_frequency / number,
-            )
-            for each, firmer in cars
-        ]
-        precision = max(formats)  # float64, where one needs it
+        rate = speeds[0] * the_road.wavenumber
+        precision = strictest_precision(the_road, cars, rate, bandwidths, damping, interval / number)
     return Task(
         road=the_road,
         speed_noise=noise,

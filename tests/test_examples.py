@@ -46,6 +46,30 @@ def test_train_and_compare(tmp_path):
     assert (tmp_path / "agent" / "agent.json").read_text() == made
 
 
+def test_slow_valves(tmp_path):
+    few = ("--lags", "30", "--delays", "--levels", "2", "--rules", "clipped_lqr", "--episodes", "16", "--duration", "1")
+    first, head, *rows = run("slow_valves.py", *few, folder=tmp_path).splitlines()
+    assert re.fullmatch(r"the best constant damping costs \S+; over it", first)
+    assert head.split() == ["clipped_lqr"]
+    found = {row[:15].strip(): [float(word) for word in row[15:].split() if word != "±"] for row in rows}
+    assert list(found) == ["ideal", "lag 30 ms", "2 levels"]
+    (ideal, error), (slow, its_own) = found["ideal"], found["lag 30 ms"]
+    assert abs(ideal - 0.714) < 0.03 + 4 * error
+    assert slow - ideal > 0.05 - 3 * (error + its_own)
+
+
+def test_unseen_cars(tmp_path):
+    size = ("--seeds", "1", "--timesteps", "1", "--episodes", "16", "--duration", "1", "--lags", "20")
+    _, head, *rows = run("unseen_cars.py", "--output", "agents", *size, folder=tmp_path).splitlines()
+    assert head.split() == ["analytic_optimum", "skyhook_continuous", "clipped_lqr", "nominal", "lags", "all"]
+    assert [row[:15].strip() for row in rows] == ["unseen cars", "lag 20 ms"]
+    for row in rows:
+        best, *shares = (float(cell.split(" ± ")[0]) for cell in re.findall(r"\S+ ± \S+", row[15:]))
+        assert best == 0
+        assert all(-100 < share < 60 for share in shares)
+    assert sorted(path.name for path in (tmp_path / "agents").iterdir()) == ["all-0", "lags-0", "nominal-0"]
+
+
 def test_rules_of_two_masses(tmp_path):
     rules = ("--rewards", "comfort", "--rules", "skyhook", "hybrid", "clipped_lqr")
     output = run("rules_of_two_masses.py", *rules, "--episodes", "16", "--duration", "4", folder=tmp_path)
@@ -86,6 +110,20 @@ def test_measured_road(tmp_path):
     told = float(re.search(r"profile: (\S+) %", lost).group(1))
     assert told == pytest.approx(100 * (shares["agent"][1] - shares["agent"][0]), abs=0.2)
     assert 0 <= float(re.search(r"loses (\S+) %", carried).group(1)) < 30
+
+
+def test_one_accelerometer(tmp_path):
+    size = ("--rule", "mixed_lookahead", "--noises", "0.05", "--episodes", "16", "--duration", "20")
+    output = run("one_accelerometer.py", *size, "--sensors", "all", "acceleration", folder=tmp_path)
+    at, _, *rows = output.splitlines()
+    best, known = (float(text) for text in re.search(r"constant damping (\S+), mixed_lookahead (\S+)", at).groups())
+    shares = []
+    for row in rows:
+        cost, share, error = (float(text) for text in re.search(r"0\.05: (\S+) \((\S+) ± (\S+) %\)$", row).groups())
+        assert share == pytest.approx(100 * (best - cost) / (best - known), abs=0.1)
+        assert 0 < error < 10
+        shares.append(share)
+    assert 60 < shares[1] < shares[0] < 105
 
 
 def test_a_rule_made_for_one_road_sees_another_in_its_terms():

@@ -38,6 +38,7 @@ def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, 
 
 def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
     """Find fault with the evaluation before any long work."""
+    from roadgym.kalman import KalmanFilter
     from roadgym.parameters import whole
     from roadgym.task import make_task
 
@@ -50,23 +51,31 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     if task.bandwidth[1] == 0:
         refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
     make_points(task, **points)
+    if getattr(chosen, "estimator", None):
+        KalmanFilter(make_task(**environment))
     for name in getattr(chosen, "controllers", None) or ():
         make_controller(name, task)
     whole("episodes", chosen.episodes, low=FEWEST_EPISODES)
     whole("seed", chosen.seed, low=0)
 
 
-def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
-    """Those of the file, with the wrappers of the command line."""
+def _loaded(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Hyperparameters of the file, with the estimator of the command line."""
     from ..hyperparameters import load_hyperparameters
+
+    estimator = getattr(chosen, "estimator", None)
+    return load_hyperparameters(chosen.algorithm, chosen.hyperparameters) | ({"estimator": estimator} if estimator else {})
+
+
+def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
+    """The same, with the wrappers of the command line."""
     from ..wrappers import with_wrappers
 
-    return with_wrappers(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), chosen.wrapper)
+    return with_wrappers(_loaded(chosen), chosen.wrapper)
 
 
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
     """Train an agent, or go on with it: then what is given must be what it was trained with."""
-    from ..hyperparameters import load_hyperparameters
     from ..training import train
 
     def given(value: Any, name: str) -> Any:
@@ -76,7 +85,7 @@ def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]
         folder,
         algorithm=given(chosen.algorithm, "algorithm"),
         environment=environment,
-        hyperparameters=given(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), "hyperparameters"),
+        hyperparameters=given(_loaded(chosen), "hyperparameters"),
         wrappers=chosen.wrapper,
         seed=given(seed, "seed"),
         timesteps=chosen.timesteps,
@@ -93,6 +102,7 @@ def run_train(chosen: argparse.Namespace) -> None:
 
     folder = Path(chosen.output)
     if chosen.resume:
+        refuse(chosen, ["estimator"], "with --resume: the agent's own holds")
         known = read_description(folder)["environment"]
         environment = {**known, **given_environment(chosen)}
     else:
@@ -143,11 +153,15 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         controller: Predictor = agent
         environment, name = agent.description["environment"], chosen.agent
         refuse_environment(chosen)
+        refuse(chosen, ["estimator"], "with --agent: the agent's own holds")
     else:
         environment = environment_from(chosen)
-        refuse_observation(chosen)
         name = chosen.controller
-        controller = make_controller(name, make_task(**observed_in_full(environment)))
+        if chosen.estimator:
+            controller = make_controller(name, make_task(**environment), estimator=chosen.estimator)
+        else:
+            refuse_observation(chosen)
+            controller = make_controller(name, make_task(**observed_in_full(environment)))
     _check_evaluation(chosen, environment)
     with work_progress() as report:
         result = evaluate(
@@ -188,6 +202,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
     from roadgym.parameters import whole
 
     from ..agent import load
+    from ..certified import check_bound
     from ..comparison import AGENT, compare, group_agents, table, write
     from ..progress import work_progress
     from ..records import LOCK, locked, make_folder
@@ -203,12 +218,15 @@ def run_compare(chosen: argparse.Namespace) -> None:
         loaded = {folder: load(folder) for folder in chosen.agent}
         _refuse_training(chosen, {folder: agent.description for folder, agent in loaded.items()})
         learned, environment = group_agents(loaded)
+        if chosen.estimator:  # of what the first one observes
+            environment = next(iter(loaded.values())).description["environment"]
         kinds = [_kind(agent.description) for agent in loaded.values()]
     else:
         learned, environment = {AGENT: []}, environment_from(chosen)
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)
+    check_bound(chosen.bound)
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
     if seeds:
@@ -230,6 +248,8 @@ def run_compare(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             controllers=chosen.controllers,
+            bound=chosen.bound,
+            estimator=chosen.estimator,
             **_grid(chosen, environment),
         )
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
