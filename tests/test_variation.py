@@ -1,5 +1,6 @@
 """Cars that differ from episode to episode: what is drawn, who is told, and that what drives is the car that was drawn."""
 
+import dataclasses
 import json
 import pickle
 import warnings
@@ -61,8 +62,11 @@ def test_what_is_driven_is_the_car_that_was_drawn(plant, vary):
     commands = np.random.default_rng(0).uniform(low, high, 40)
     (observations, rewards), infos = drive(envs, commands)
     for i in range(3):
-        car, valve = task.vary.drawn([infos[0][name][i] for name in task.vary.names])
-        firmer = task.vary.firmer(car)
+        drawn = {name: infos[0][name][i] for name in vary}
+        car = dataclasses.replace(task.car, **{name: value for name, value in drawn.items() if name[:6] != "valve."})
+        lags = {name[6:]: value for name, value in drawn.items() if name[:6] == "valve."}
+        valve = dataclasses.replace(task.valve, **lags)
+        firmer = 1.0 if one_mass else car.damping_ratio(task.car.damping_unit)  # of a damper of the same coefficient
         own = {name: value for name, value in plant.items() if name != "natural_frequency"} | {"car": car, "valve": valve}
         if valve.rate:
             own["valve"] = roadgym.Valve(**{**vars(valve), "rate": valve.rate * firmer})
