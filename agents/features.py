@@ -47,6 +47,13 @@ class Features:
             know them or the task does not observe the whole state. The operating point is always there, as 4 (share - 1/2),
             which is of order 1.
 
+    Attributes:
+        size: number of features.
+        state, point: columns of the observation that are signals of the motion, and those of the operating point.
+        first, second: pairs of the signals of the motion.
+        signals, products: are they among the features?
+        lookahead: what knows the forms of the advantages; None where they are not among the features.
+
     Raises:
         ParameterError: an unknown kind, or none.
     """
@@ -55,31 +62,29 @@ class Features:
         if isinstance(kinds, str) or not kinds or any(kind not in FEATURES for kind in kinds):
             raise ParameterError(f"features must be a selection of {', '.join(FEATURES)}, got {kinds!r}")
         names = task.signals
-        self._state = [i for i, name in enumerate(names) if name not in OPERATING_POINT]
-        self._point = [i for i, name in enumerate(names) if name in OPERATING_POINT]
-        self._first, self._second = np.triu_indices(len(self._state))
-        self._signals, self._products = "signals" in kinds, "products" in kinds
-        self._lookahead = None
-        if has_lookahead(task, kinds):
-            self._lookahead = _Lookahead(task)
+        self.state = [i for i, name in enumerate(names) if name not in OPERATING_POINT]
+        self.point = [i for i, name in enumerate(names) if name in OPERATING_POINT]
+        self.first, self.second = np.triu_indices(len(self.state))
+        self.signals, self.products = "signals" in kinds, "products" in kinds
+        self.lookahead = Lookahead(task) if has_lookahead(task, kinds) else None
         self.size = (
-            len(self._point)
-            + self._signals * len(self._state)
-            + self._products * len(self._first)
-            + 2 * (self._lookahead is not None)
+            len(self.point)
+            + self.signals * len(self.state)
+            + self.products * len(self.first)
+            + 2 * (self.lookahead is not None)
         )
 
     def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """The features of each row."""
-        state = observations[:, self._state]
+        state = observations[:, self.state]
         scale = np.sqrt(1 + np.einsum("ij,ij->i", state, state))[:, None]
-        parts = [(observations[:, self._point] - np.float32(0.5)) * np.float32(4)]
-        if self._signals:
+        parts = [(observations[:, self.point] - np.float32(0.5)) * np.float32(4)]
+        if self.signals:
             parts.append(state)
-        if self._products:
-            parts.append(state[:, self._first] * state[:, self._second] / scale)
-        if self._lookahead is not None:
-            parts.append(self._lookahead(observations) / scale)
+        if self.products:
+            parts.append(state[:, self.first] * state[:, self.second] / scale)
+        if self.lookahead is not None:
+            parts.append(self.lookahead(observations) / scale)
         return np.concatenate(parts, axis=1, dtype=np.float32)
 
 
@@ -98,30 +103,35 @@ def _lookahead_table(task: Task) -> npt.NDArray[np.float32]:
     return table.reshape(NODES, NODES, 2, -1).astype(np.float32)
 
 
-class _Lookahead:
-    """Advantages of the firmest and of the middle damping over the softest, interpolated between operating points."""
+class Lookahead:
+    """Advantages of the firmest and of the middle damping over the softest, interpolated between operating points.
+
+    Attributes:
+        columns, point: of the observation, those of the states that the advantages are forms of, and of the operating point.
+        first, second: pairs of these states.
+    """
 
     def __init__(self, task: Task) -> None:
-        self._columns = [task.signals.index(name) for name in state_of(task)]
-        self._point = [task.signals.index(name) for name in operating_point(task)]
+        self.columns = [task.signals.index(name) for name in state_of(task)]
+        self.point = [task.signals.index(name) for name in operating_point(task)]
         self._grid = OperatingGrid.of(task)
-        self._first, self._second = np.triu_indices(len(self._columns))
+        self.first, self.second = np.triu_indices(len(self.columns))
         self._table = _lookahead_table(task)
-        self._points = np.empty((0, len(self._point)), np.float32)
+        self._points = np.empty((0, len(self.point)), np.float32)
         self._forms = np.empty((0, *self._table.shape[2:]), np.float32)
 
     def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Both, shape (n, 2)."""
-        points = observations[:, self._point]
+        points = observations[:, self.point]
         if not np.array_equal(points, self._points):  # within an episode the operating point stays
-            self._points, self._forms = points, self._interpolate(points)
-        state = observations[:, self._columns]
-        monomials = np.ones((len(state), len(self._first) + 1), np.float32)
-        np.multiply(state[:, self._first], state[:, self._second], out=monomials[:, :-1])
+            self._points, self._forms = points, self.forms(points)
+        state = observations[:, self.columns]
+        monomials = np.ones((len(state), len(self.first) + 1), np.float32)
+        np.multiply(state[:, self.first], state[:, self.second], out=monomials[:, :-1])
         return np.asarray((self._forms @ monomials[:, :, None])[:, :, 0])
 
-    def _interpolate(self, points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """The forms at observed operating points, shape (n, 2, monomials)."""
+    def forms(self, points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """The forms at observed operating points, shape (n, 2, monomials): of the products of pairs, and the constant."""
         place = self._grid.place(np.pad(points, [(0, 0), (0, 2 - points.shape[1])]))  # no bandwidth is one of 0
         node = np.minimum(place.astype(np.intp), NODES - 2)
         share = (place - node).astype(np.float32)
@@ -147,6 +157,7 @@ class Sight:
 
     Attributes:
         space: the space of what is seen.
+        features: what makes features of observations; None for the observations as they are.
 
     Raises:
         ParameterError: an unknown kind of feature, or features that show nothing of the task.
@@ -160,12 +171,12 @@ class Sight:
         self._width, self._kept = len(task.signals), len(stacked.signals) - len(self._moving)
         if not (features is None or (isinstance(features, Sequence) and all(isinstance(kind, str) for kind in features))):
             raise ParameterError(f"features must be a sequence of names or None, got {shown(features)}")
-        self._features = None if features is None else Features(stacked, features)
+        self.features = None if features is None else Features(stacked, features)
         self.space = stacked.observation_space
-        if self._features is not None:
-            if self._features.size == 0:
+        if self.features is not None:
+            if self.features.size == 0:
                 raise ParameterError(f"features must leave something to see of {', '.join(task.signals)}, got {features!r}")
-            self.space = spaces.Box(-np.inf, np.inf, (self._features.size,), np.float32)
+            self.space = spaces.Box(-np.inf, np.inf, (self.features.size,), np.float32)
 
     def stack(self, frames: Rows | None, observations: Rows, starts: npt.NDArray[np.bool_] | None) -> Rows | None:
         """The stack, shape (n, width), with new observations, shape (n, signals), on top; None where only one is seen.
@@ -184,4 +195,4 @@ class Sight:
     def __call__(self, observations: Rows, frames: Rows | None) -> Rows:
         """What the policy sees of new observations and the stack that they are on top of, shape (n, size)."""
         seen = observations if frames is None else frames
-        return seen if self._features is None else self._features(seen)
+        return seen if self.features is None else self.features(seen)

@@ -96,6 +96,7 @@ __all__ = [  # with names that live in `agents.agent` and `agents.records`
     "train",
     "training_reward",
     "training_seed",
+    "usual_algorithm",
     "versions",
     "write_atomically",
 ]
@@ -119,6 +120,13 @@ def check_seed(seed: int) -> None:
     """Raise `ParameterError` unless a training can have this seed."""
     if whole("seed", seed, low=0) > LARGEST_SEED:
         raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
+
+
+def usual_algorithm(chosen: bool, wrappers: Sequence[Any] = ()) -> str:
+    """The algorithm where none is named: "apg"; "ppo" where hyperparameters are ``chosen``, and with wrappers, which may pay
+    for something else than the cost.
+    """
+    return "ppo" if chosen or wrappers else "apg"
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -259,7 +267,7 @@ def train(
 
     Args:
         folder: the agent's folder; must not hold an agent yet, unless ``resume``.
-        algorithm: a key of `ALGORITHMS`; "ppo" by default.
+        algorithm: a key of `ALGORITHMS`; by default that of `usual_algorithm`.
         environment: parameters of the environment; by default the bounded road over a range of speeds and bandwidths.
         hyperparameters: by default those of the algorithm's YAML file.
         seed: fixes roads, weights and exploration; not negative, 0 by default.
@@ -306,7 +314,8 @@ def train(
             raise ParameterError(f"timesteps must be at least the {known} of the agent in {str(path)!r}, got {timesteps}")
     else:
         _refuse_agent(path)
-        algorithm, seed = "ppo" if algorithm is None else algorithm, 0 if seed is None else seed
+        algorithm = usual_algorithm(hyperparameters is not None, names) if algorithm is None else algorithm
+        seed = 0 if seed is None else seed
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
         hyperparameters = with_wrappers(hyperparameters, names)
         environment = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
