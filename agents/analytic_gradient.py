@@ -98,6 +98,7 @@ class APG(OnPolicyAlgorithm):
         ParameterError: one of these out of range, or an environment that cannot be differentiated.
     """
 
+    learns_from: ClassVar[str] = "gradient"  # as agent.json tells
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": DampingPolicy}
 
     def __init__(

@@ -325,7 +325,11 @@ def train(
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": complete(hyperparameters),
-            "training_reward": training_reward(hyperparameters.get("training_reward", "cost"), task),
+            "training_reward": getattr(
+                algorithm_class(algorithm),
+                "learns_from",
+                training_reward(hyperparameters.get("training_reward", "cost"), task),
+            ),
             "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),

@@ -10,7 +10,8 @@ from agents.analytic_gradient import APG
 from agents.differentiable import Seen
 from agents.evaluation import evaluate
 from agents.features import Sight
-from agents.training import load_hyperparameters, make_model
+from agents.report import theory_given
+from agents.training import load_hyperparameters, make_model, usual_algorithm
 from agents.vec_env import QuarterCarVecEnv
 from agents.wrappers import learning
 from roadgym import ParameterError
@@ -150,6 +151,13 @@ def test_seconds_of_training_save_most_of_what_feedback_can(tmp_path):
     agent = agents.train(tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=chosen)
     found = evaluate({"agent": agent}, environment=environment, speeds=[1.5], bandwidths=[0.1], episodes=16)["agent"]
     assert found.mean < 0.5  # the best constant damping costs .982, the optimal feedback .227
+
+
+def test_it_is_what_is_trained_where_nothing_is_chosen(tmp_path):
+    agent = agents.train(tmp_path / "a", environment=PLANTS["white"], timesteps=1)
+    assert [agent.description[name] for name in ("algorithm", "training_reward")] == ["apg", "gradient"]
+    assert theory_given(agent).startswith("learned from the cost, differentiated through the plant")
+    assert usual_algorithm(True) == usual_algorithm(False, ["module:Wrapper"]) == "ppo"  # whose hyperparameters files are
 
 
 def test_other_wrappers_of_stable_baselines_do_not_disturb():

@@ -195,10 +195,11 @@ def run_compare(chosen: argparse.Namespace) -> None:
     """``roadgym compare``."""
     from roadgym.files import remove_parts
     from roadgym.parameters import whole
+    from roadgym.vector import QuarterCarVectorEnv
 
     from ..agent import load
     from ..comparison import AGENT, compare, group_agents, table, write
-    from ..progress import work_progress
+    from ..progress import Stopwatch, work_progress
     from ..records import LOCK, locked, make_folder
 
     seeds = range(0)
@@ -226,26 +227,39 @@ def run_compare(chosen: argparse.Namespace) -> None:
 
         check_seed(seeds[-1])
     folder = make_folder(_results_folder(chosen, kinds))
-    steps = len(seeds) + 2
+    steps, watch = len(seeds) + 2, Stopwatch()
     with locked(folder / LOCK, "comparison"):
         remove_parts(folder)
+        QuarterCarVectorEnv(1, **environment).reset(seed=0)  # which compiles the plant where it is not
+        watch.note("compiling")
         for number, seed in enumerate(seeds, 1):
             place = folder / f"agent-{seed}"
             _tell(f"step {number} of {steps}: training {place}")
             learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=(place / DESCRIPTION).exists()))
+            watch.note("training")
         _tell(f"step {steps - 1} of {steps}: driving")
-        comparison = compare(
-            learned,
-            environment=environment,
-            episodes=chosen.episodes,
-            seed=chosen.seed,
-            controllers=chosen.controllers,
-            **_grid(chosen, environment),
-        )
+        with work_progress() as report:
+
+            def tell(what: str, done: int, total: int) -> None:
+                watch.note("driving" if what.startswith("driving") else "optimal feedback")
+                report(what, done, total)
+
+            comparison = compare(
+                learned,
+                environment=environment,
+                episodes=chosen.episodes,
+                seed=chosen.seed,
+                controllers=chosen.controllers,
+                report=tell,
+                **_grid(chosen, environment),
+            )
+        watch.note("driving")
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
         _tell(f"step {steps} of {steps}: drawing and writing")
         with work_progress() as report:
             files = write(comparison, folder, report)
+        watch.note("drawing and writing")
+    _tell(f"took {watch}")
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
 
