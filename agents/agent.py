@@ -90,6 +90,9 @@ class Agent:
         model: the stable-baselines3 model.
         description: the content of agent.json.
         task: the task it was trained on.
+        sight: what its policy sees of observations.
+        damping_levels: number of levels of its answers, or None.
+        layers: the wrappers that change its actions, the outermost first.
     """
 
     def __init__(self, model: BaseAlgorithm, description: Mapping[str, Any], task: Task) -> None:
@@ -99,11 +102,11 @@ class Agent:
         hyperparameters = description["hyperparameters"]
         self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
         self.damping_levels = hyperparameters.get("damping_levels")
-        self._layers: list[ActionLayer] = []
+        self.layers: list[ActionLayer] = []
         if hyperparameters.get("wrappers"):
             batch = QuarterCarVectorEnv(1, threads=1, **description["environment"])
             learned = learning(batch, features=None, damping_levels=self.damping_levels, training_reward="cost")
-            _, self._layers = wrap(learned, hyperparameters["wrappers"])
+            _, self.layers = wrap(learned, hyperparameters["wrappers"])
 
     def predict(
         self,
@@ -121,7 +124,7 @@ class Agent:
         frames, memory = (None, None) if state is None else state
         frames = self.sight.stack(frames, rows, episode_start)
         action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
-        for layer in self._layers:
+        for layer in self.layers:
             with blamed(type(layer).__name__):
                 action = layer.actions(action)
         damping = damping_from_action(action, self.task.damping_range, self.damping_levels)

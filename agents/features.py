@@ -48,11 +48,11 @@ class Features:
             which is of order 1.
 
     Attributes:
-        size: number of features.
-        state, point: columns of the observation that are signals of the motion, and those of the operating point.
-        first, second: pairs of the signals of the motion.
-        signals, products: are they among the features?
-        lookahead: what knows the forms of the advantages; None where they are not among the features.
+        state, point: columns of the moving signals and of the operating point.
+        first, second: of the products, places of the factors among the moving signals.
+        signals, products: are they seen?
+        lookahead: what makes the advantages, or None.
+        size: numbers that are seen.
 
     Raises:
         ParameterError: an unknown kind, or none.
@@ -66,7 +66,9 @@ class Features:
         self.point = [i for i, name in enumerate(names) if name in OPERATING_POINT]
         self.first, self.second = np.triu_indices(len(self.state))
         self.signals, self.products = "signals" in kinds, "products" in kinds
-        self.lookahead = Lookahead(task) if has_lookahead(task, kinds) else None
+        self.lookahead = None
+        if has_lookahead(task, kinds):
+            self.lookahead = Lookahead(task)
         self.size = (
             len(self.point)
             + self.signals * len(self.state)
@@ -107,18 +109,20 @@ class Lookahead:
     """Advantages of the firmest and of the middle damping over the softest, interpolated between operating points.
 
     Attributes:
-        columns, point: of the observation, those of the states that the advantages are forms of, and of the operating point.
-        first, second: pairs of these states.
+        columns, point: columns of the state and of the operating point.
+        grid: the operating points of the table.
+        first, second: places of the factors of a monomial in the state.
+        table: coefficients of the monomials, and constants, shape (NODES, NODES, 2, monomials + 1).
     """
 
     def __init__(self, task: Task) -> None:
         self.columns = [task.signals.index(name) for name in state_of(task)]
         self.point = [task.signals.index(name) for name in operating_point(task)]
-        self._grid = OperatingGrid.of(task)
+        self.grid = OperatingGrid.of(task)
         self.first, self.second = np.triu_indices(len(self.columns))
-        self._table = _lookahead_table(task)
+        self.table = _lookahead_table(task)
         self._points = np.empty((0, len(self.point)), np.float32)
-        self._forms = np.empty((0, *self._table.shape[2:]), np.float32)
+        self._forms = np.empty((0, *self.table.shape[2:]), np.float32)
 
     def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Both, shape (n, 2)."""
@@ -131,14 +135,14 @@ class Lookahead:
         return np.asarray((self._forms @ monomials[:, :, None])[:, :, 0])
 
     def forms(self, points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """The forms at observed operating points, shape (n, 2, monomials): of the products of pairs, and the constant."""
-        place = self._grid.place(np.pad(points, [(0, 0), (0, 2 - points.shape[1])]))  # no bandwidth is one of 0
+        """The forms at observed operating points, shape (n, 2, monomials)."""
+        place = self.grid.place(np.pad(points, [(0, 0), (0, 2 - points.shape[1])]))  # no bandwidth is one of 0
         node = np.minimum(place.astype(np.intp), NODES - 2)
         share = (place - node).astype(np.float32)
-        forms = np.zeros((len(points), *self._table.shape[2:]), np.float32)
+        forms = np.zeros((len(points), *self.table.shape[2:]), np.float32)
         for i, j in itertools.product((0, 1), repeat=2):  # the corners around each point
             weight = np.abs(1 - i - share[:, 0]) * np.abs(1 - j - share[:, 1])
-            forms += weight[:, None, None] * self._table[node[:, 0] + i, node[:, 1] + j]
+            forms += weight[:, None, None] * self.table[node[:, 0] + i, node[:, 1] + j]
         return forms
 
 
@@ -157,7 +161,9 @@ class Sight:
 
     Attributes:
         space: the space of what is seen.
-        features: what makes features of observations; None for the observations as they are.
+        moving: columns of the signals that change in an episode.
+        frame_stack: number of observations that are seen together.
+        features: what makes features of the stack, or None.
 
     Raises:
         ParameterError: an unknown kind of feature, or features that show nothing of the task.
@@ -165,10 +171,10 @@ class Sight:
 
     def __init__(self, task: Task, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
         self.frame_stack = whole("frame_stack", frame_stack, of="frame_stack")
-        self._moving = [i for i, name in enumerate(task.signals) if name not in OPERATING_POINT]
-        older = tuple(task.signals[i] for i in self._moving) * (self.frame_stack - 1)
+        self.moving = [i for i, name in enumerate(task.signals) if name not in OPERATING_POINT]
+        older = tuple(task.signals[i] for i in self.moving) * (self.frame_stack - 1)
         stacked = dataclasses.replace(task, signals=task.signals + older)
-        self._width, self._kept = len(task.signals), len(stacked.signals) - len(self._moving)
+        self._width, self._kept = len(task.signals), len(stacked.signals) - len(self.moving)
         if not (features is None or (isinstance(features, Sequence) and all(isinstance(kind, str) for kind in features))):
             raise ParameterError(f"features must be a sequence of names or None, got {shown(features)}")
         self.features = None if features is None else Features(stacked, features)
@@ -185,10 +191,10 @@ class Sight:
         """
         if self.frame_stack == 1:
             return None
-        fresh = np.concatenate([observations, np.tile(observations[:, self._moving], self.frame_stack - 1)], axis=1)
+        fresh = np.concatenate([observations, np.tile(observations[:, self.moving], self.frame_stack - 1)], axis=1)
         if frames is None:
             return fresh
-        moved = [observations, frames[:, self._moving], frames[:, self._width : self._kept]]
+        moved = [observations, frames[:, self.moving], frames[:, self._width : self._kept]]
         stacked = np.concatenate(moved, axis=1)
         return stacked if starts is None else np.where(np.asarray(starts)[:, None], fresh, stacked)
 

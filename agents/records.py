@@ -34,6 +34,7 @@ class Purpose(enum.IntEnum):
     EVALUATION = 1
     PICTURE = 2
     FILM = 3
+    EXPORT = 4
     SEARCH = 2  # the seed of a search's evaluations, which draw their roads from it
     SAMPLER = 3  # what a search draws its trials with
 

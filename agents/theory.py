@@ -68,14 +68,15 @@ class OperatingGrid:
     Attributes:
         ratio, bandwidth: nu and delta of the nodes, shape (NODES, NODES); the first axis is that of the speed.
         damping: the best constant damping ratio at the nodes by theory, likewise.
+        low, step: the first node and the step to the next in what is observed, shape (2,).
     """
 
     def __init__(self, task: Task) -> None:
         ends = np.array([[task.frequency_ratio(speed) for speed in task.speed], [2 * delta for delta in task.bandwidth]])
         ends = ends / (1 + ends)
-        self._low, widths = ends[:, 0], ends[:, 1] - ends[:, 0]
-        self._step = np.maximum(widths, 1e-9) / (NODES - 1)
-        shares = self._low + widths / (NODES - 1) * np.stack(np.meshgrid(range(NODES), range(NODES), indexing="ij"), axis=-1)
+        self.low, widths = ends[:, 0], ends[:, 1] - ends[:, 0]
+        self.step = np.maximum(widths, 1e-9) / (NODES - 1)
+        shares = self.low + widths / (NODES - 1) * np.stack(np.meshgrid(range(NODES), range(NODES), indexing="ij"), axis=-1)
         self.ratio, twice_bandwidth = np.moveaxis(shares / (1 - shares), -1, 0)
         self.bandwidth = twice_bandwidth / 2
         speed = 1 / task.frequency_ratio(1.0)
@@ -94,4 +95,4 @@ class OperatingGrid:
 
     def place(self, shares: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
         """Where observed operating points lie, in steps from the first node, shape (n, 2) as ``shares``; within the grid."""
-        return np.asarray(np.clip((shares - self._low) / self._step, 0, NODES - 1))
+        return np.asarray(np.clip((shares - self.low) / self.step, 0, NODES - 1))

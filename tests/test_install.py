@@ -24,6 +24,7 @@ EXTRAS = {  # what each brings, by the names that are imported
     "render": ("pygame", "PIL", "imageio_ffmpeg"),
     "tune": ("optuna",),
     "recurrent": ("sb3_contrib",),
+    "onnx": ("onnx",),
 }
 PLAIN = f"""
 import sys
@@ -115,6 +116,7 @@ def agent(tmp_path_factory):
         (("evaluate", "--agent", "AGENT"), "train"),
         (("compare", "--agent", "AGENT", "--output", "OUT"), "train"),
         (("drive", "--agent", "AGENT", "--output", "OUT.gif"), "train"),
+        (("export", "--agent", "AGENT", "--to", "c"), "train"),
         (("drive", "--controller", "skyhook"), "render"),
         (("drive", "--controller", "skyhook", "--output", "OUT.mp4"), "render"),
         (("drive", "--controller", "skyhook", "--output", "OUT.gif"), "render"),

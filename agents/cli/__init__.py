@@ -1,5 +1,5 @@
-"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``drive``, ``certify``, ``road``, ``benchmark``,
-``figures``, ``explore``, ``errata`` and ``cache``.
+"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``drive``, ``export``, ``certify``, ``road``,
+``benchmark``, ``figures``, ``explore``, ``errata`` and ``cache``.
 
 Exit codes: 0 success, 1 a plant or a profile that is not certified, 2 a wrong argument, a file that cannot be read or written,
 or a missing package (one line says which), 130 interrupted, 143 terminated.

@@ -367,3 +367,33 @@ def run_drive(chosen: argparse.Namespace) -> None:
         )
     if chosen.output:
         print(chosen.output)
+
+
+def run_export(chosen: argparse.Namespace) -> None:
+    """``roadgym export``."""
+    from ..agent import load
+    from ..export import check_output, export, file_name, tabulate, told
+    from ..progress import work_progress
+
+    name = file_name(Path(chosen.agent).resolve().name) if chosen.name is None else chosen.name
+    check_output(chosen.to, chosen.output, name)
+    source: Any = load(chosen.agent)
+    if chosen.to == "table":
+        environment = source.description["environment"]
+        _check_evaluation(chosen, environment)
+        with work_progress() as report:
+            source = tabulate(
+                source,
+                signals=chosen.signals,
+                episodes=chosen.episodes,
+                seed=chosen.seed,
+                report=report,
+                **_grid(chosen, environment),
+            )
+        print(told(source), flush=True)
+    else:
+        refuse(
+            chosen, ("signals", "speeds", "bandwidths", "episodes", "seed"), f"with --to {chosen.to}, which evaluates nothing"
+        )
+    for file in export(source, chosen.to, chosen.output, name):
+        print(f"wrote {file}", file=sys.stderr)

@@ -11,7 +11,7 @@ from roadgym.roads.profile_formats import HEIGHT_UNITS
 
 from ..benchmark import CASES
 from ..names import CONTROLLERS_SHOWN
-from .commands import run_compare, run_drive, run_evaluate, run_train, run_tune
+from .commands import run_compare, run_drive, run_evaluate, run_export, run_train, run_tune
 from .options import (
     CAR_NAMES,
     ENVIRONMENT,
@@ -136,6 +136,30 @@ def make_parser() -> argparse.ArgumentParser:
     drive.add_argument("--bandwidth", type=float, metavar="DELTA", help="road bandwidth (drawn from the environment's range)")
     drive.add_argument("--seed", type=int, default=0, help="seed of the road (%(default)s)")
     add_environment(drive)
+
+    export = _command(
+        commands,
+        "export",
+        run_export,
+        "write a trained agent as C99, as ONNX, or as a table of the damping over two signals",
+        "roadgym export --agent runs/ppo --to c --output firmware",
+    )
+    export.add_argument("--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent")
+    export.add_argument(
+        "--to",
+        choices=("c", "onnx", "table"),
+        required=True,
+        help="c: header, source, and a check with test vectors; onnx: one model, which needs the extra onnx; table: CSV, and C "
+        "that looks it up, and what the table costs beside the agent",
+    )
+    export.add_argument(
+        "--output", type=nonempty, default=".", metavar="DIR", help="folder of the files, which are not there yet (%(default)s)"
+    )
+    export.add_argument("--name", metavar="NAME", help="of the files and the names in C (that of the agent's folder)")
+    export.add_argument(
+        "--signals", nargs=2, metavar="NAME", help="of the table (the two that explain most of the agent's damping)"
+    )
+    add_evaluation(export, seed=True)
 
     certify = _command(
         commands,
