@@ -21,7 +21,7 @@ from roadgym.parameters import ParameterError
 from roadgym.roads import FirstOrderRoad, GaussianRoad
 from roadgym.task import OPERATING_POINT, SATURATION, Task
 
-from .advantage import ROAD_STATES
+from .advantage import ROAD_STATES, is_differentiable
 from .features import Features, Sight
 
 with needs("train"):
@@ -42,10 +42,12 @@ class DrivenRoads:
         steps: control intervals that are recorded.
 
     Raises:
-        ParameterError: a stack of observations, which is not differentiated.
+        ParameterError: a stack of observations, sensors or a valve, which are not differentiated through.
     """
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int) -> None:
+        if not is_differentiable(task):
+            raise ParameterError("sensors and valve must be ideal for a gradient through the plant: choose another algorithm")
         if sight.frame_stack > 1:
             raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
         interval = Interval.of(task)

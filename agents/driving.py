@@ -21,7 +21,7 @@ from roadgym.task import Task, make_task
 from .agent import Agent, load
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
-from .evaluation import Predictor, answers, observed_by
+from .evaluation import Predictor, answers, observed_by, through_sensors
 from .names import printable, shortened
 from .records import Purpose, stream_seed
 
@@ -105,7 +105,7 @@ def frames(
     task = make_task(**environment)
     for title, driver in drivers:
         seen = {"observation": list(observed_by(driver, task)), "observe_operating_point": False}  # each its own signals
-        env = QuarterCarEnv(render_mode="rgb_array", **{**environment, **seen})
+        env = QuarterCarEnv(render_mode="rgb_array", **{**through_sensors(driver, environment), **seen})
         env.render_title, env.render_every = shortened(printable(title)), every
         observation, _ = env.reset(seed=stream_seed(seed, Purpose.FILM), options=options)
         cars.append((env, answers(driver, env.task), [observation, None]))

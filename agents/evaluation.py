@@ -7,6 +7,7 @@ under every rule: see `analysis.control_variates`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,7 +34,8 @@ class Predictor(Protocol):
 
     Where it has an attribute ``task``, it is handed the signals that its task observes, else those of the environment. Where it
     has an ``action_space``, as the models of stable-baselines3 have, its answers are mapped onto damping ratios; see
-    `agents.actions.damping_reader`.
+    `agents.actions.damping_reader`. Where it has ``full_knowledge``, and that is true, it sees through no sensors: it is a
+    reference for those that do.
     """
 
     def predict(
@@ -147,6 +149,11 @@ def observed_by(controller: Predictor, task: Task) -> tuple[str, ...]:
     return own.signals
 
 
+def through_sensors(controller: Predictor, environment: Mapping[str, Any]) -> dict[str, Any]:
+    """The environment as a controller sees it: without its sensors, for a reference of full knowledge."""
+    return {**environment, "sensors": None} if getattr(controller, "full_knowledge", False) else dict(environment)
+
+
 def in_units_of(own: Task, here: Task) -> Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]:
     """What takes observations of the signals of ``own``, made on the plant of ``here``, to what they are on its own plant.
 
@@ -233,7 +240,8 @@ def evaluate(
 ) -> dict[str, Evaluation]:
     """Drive each controller over the same roads at every operating point.
 
-    Where theory is exact, constant dampings inside the damping range are driven too, and serve as control variates.
+    Where theory is exact, constant dampings inside the damping range are driven too, and serve as control variates. All see the
+    environment through its sensors, but those of full knowledge, such as the optimal feedback.
 
     Args:
         controllers: by name.
@@ -270,12 +278,18 @@ def evaluate(
     everyone = (*controllers.values(), _Constant(math.nan))  # that of the control variates, which is handed those of the task
     observed = dict.fromkeys(signal for controller in everyone for signal in observed_by(controller, task))
     constants = control_dampings(task, skipped * task.control_interval, episodes)
-    known = balances(task, len(constants), episodes) if constants else []  # they need as long a start to be forgotten
+    # balances need as long a start to be forgotten, and a damping that keeps its value in each interval
+    steady = bool(constants) and task.valve.is_still(task.control_interval)
+    known = balances(task, len(constants), episodes) if steady else []
     more = rows_of(known)
     plant = {**environment, "observation": list(observed), "reward": task.reward_by_name}
     if more:
         plant = {name: value for name, value in plant.items() if name != "natural_frequency"} | {"car": watched(task.car, more)}
-    envs = QuarterCarVectorEnv(number, max_episode_steps=None, **plant)
+
+    @functools.cache
+    def batch(sensors: bool) -> QuarterCarVectorEnv:
+        return QuarterCarVectorEnv(number, max_episode_steps=None, **(plant if sensors else {**plant, "sensors": None}))
+
     for controller in controllers.values():
         answers(controller, task)  # what cannot drive is told at once
     options: dict[str, Any] = {"speed": np.repeat([point.speed for point in points], episodes)}
@@ -292,6 +306,7 @@ def evaluate(
         total, squares, switches = np.zeros(number), np.zeros((len(names), number)), np.zeros(number)
         power = np.zeros(number)
         firm = np.zeros(number, np.bool_)
+        envs = batch(through_sensors(controller, plant).get("sensors") is not None)
         steps = drive(controller, envs, stream_seed(seed, Purpose.EVALUATION), options, task)
         for step, (_, damping, rewards, infos) in enumerate(itertools.islice(steps, skipped + measured)):
             was_firm, firm = firm, damping[:, 0] > middle

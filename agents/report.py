@@ -80,6 +80,11 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         )
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
+    if task.sensors is not None and "optimal_feedback" in comparison.controllers:
+        found.append((title("optimal_feedback"), "full knowledge: it sees the state itself; all others see through sensors."))
+    if not task.valve.ideal:
+        theory = "the best constant D, theory and the optimal feedback are those of an ideal valve; driven, all have this one."
+        found.append(("valve", theory))
     for name, chosen in comparison.configuration.get("parameters", {}).items():
         values = ", ".join(f"{parameter} = {value:g}" for parameter, value in chosen.items())
         found.append((title(name), f"{values}, which cost least of those tried in the middle of the plant's range."))

@@ -172,7 +172,8 @@ def constant_damping(task: Task, controller: str, point: OperatingPoint) -> floa
     if controller == "d_max":
         return task.damping_range[1]
     if controller == "analytic_optimum":
-        return float(optimum(task, point.speed, point.bandwidth).damping)
+        best = float(optimum(task, point.speed, point.bandwidth).damping)
+        return float(task.valve.settled(best, task.damping_range))
     return None
 
 

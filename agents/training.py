@@ -19,6 +19,7 @@ from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
+from .advantage import is_differentiable
 from .agent import (
     ALGORITHMS,
     CONTENT,
@@ -122,11 +123,13 @@ def check_seed(seed: int) -> None:
         raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
 
 
-def usual_algorithm(chosen: bool, wrappers: Sequence[Any] = ()) -> str:
-    """The algorithm where none is named: "apg"; "ppo" where hyperparameters are ``chosen``, and with wrappers, which may pay
-    for something else than the cost.
+def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = ()) -> str:
+    """The algorithm where none is named: "apg", or "ppo" where that cannot be.
+
+    That is where hyperparameters are ``chosen``, which are those of "ppo"; with wrappers, which may pay for something else than
+    the cost; and behind sensors or a valve, through which is not differentiated.
     """
-    return "ppo" if chosen or wrappers else "apg"
+    return "ppo" if chosen or wrappers or not is_differentiable(task) else "apg"
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -314,12 +317,11 @@ def train(
             raise ParameterError(f"timesteps must be at least the {known} of the agent in {str(path)!r}, got {timesteps}")
     else:
         _refuse_agent(path)
-        algorithm = usual_algorithm(hyperparameters is not None, names) if algorithm is None else algorithm
-        seed = 0 if seed is None else seed
+        environment = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
+        task, seed = make_task(**environment), 0 if seed is None else seed
+        algorithm = usual_algorithm(task, hyperparameters is not None, names) if algorithm is None else algorithm
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
         hyperparameters = with_wrappers(hyperparameters, names)
-        environment = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
-        task = make_task(**environment)
         description = {
             "format": FORMAT,
             "algorithm": algorithm,

@@ -63,14 +63,14 @@ def task_of(env: Environment | Batch) -> Task:
 
 
 def training_reward(chosen: Any, task: Task) -> str:
-    """What is learned from: "cost", or "advantage" where it is ``chosen`` and theory knows it on this plant.
+    """What is learned from: "cost", or "advantage" where it is ``chosen`` and theory knows it on this plant, of an ideal valve.
 
     Raises:
         ParameterError: something else is chosen.
     """
     if chosen not in ("cost", "advantage"):
         raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
-    return chosen if has_advantage(task) else "cost"
+    return chosen if has_advantage(task) and task.valve.ideal else "cost"
 
 
 @overload
@@ -441,8 +441,9 @@ class VectorAdvantageReward(_VectorWrapper):
 def _with_advantage(env: Environment | Batch) -> Task:
     """The task, which must have an advantage."""
     task = task_of(env)
-    if not has_advantage(task):
+    if not (has_advantage(task) and task.valve.ideal):
         raise ParameterError(
-            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed"
+            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed, and an "
+            "ideal valve"
         )
     return task

@@ -72,8 +72,9 @@ def certify(
         car: a car, or its name or mapping; the car of one mass by default.
         seed: fixes the noise.
         lanes: independent cars at each speed; standard errors fall as its root.
-        driver: a controller for this plant, whose task tells its control interval, its range of D and what it observes; the
-            plant is certified under its rule too.
+        driver: a controller for this plant, whose task tells its control interval, its range of D and what it observes, through
+            sensors if it has some; the plant is certified under its rule too. A valve is left out: what theory tells of a rule
+            is for a D that keeps its value in each interval.
         report: called as ``report(what, intervals done, intervals in all)`` now and then.
 
     Returns:
@@ -286,6 +287,7 @@ def _switching_lines(
             seed=seed,
             control_interval=task.control_interval,
             observation=task.signals,
+            sensors=task.sensors,
         )
         runs["the controller"] = followed, functools.partial(followed.follow, driver)
     lines = []

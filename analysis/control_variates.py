@@ -71,8 +71,9 @@ def control_dampings(task: Task, transient: float, samples: int) -> tuple[float,
     if low >= high:
         return ()
     count = max(min(MOST, samples // SAMPLES_EACH), 1)
-    single = np.geomspace(low, high, 2 * count + 1)[1::2].astype(np.float32)  # as the plant takes them
-    return tuple(single.astype(float).tolist())
+    single = np.geomspace(low, high, 2 * count + 1)[1::2].astype(np.float32).astype(float)  # as the plant takes them
+    settled = dict.fromkeys(task.valve.settled(single, task.damping_range).tolist())
+    return tuple(damping for damping in settled if low <= damping <= high)
 
 
 def _least_damping(car: Car, decay: float, low: float, high: float) -> float:

@@ -17,6 +17,7 @@ from roadgym.cars import Car
 from roadgym.plant import Plant
 from roadgym.resolution import LARGEST_ANGLE
 from roadgym.roads import Road
+from roadgym.sensors import Sensors
 from roadgym.speed import SpeedNoise
 from roadgym.task import Task, make_task
 
@@ -190,6 +191,7 @@ class Switching:
         seed: int,
         control_interval: float | None = None,
         observation: Sequence[str] | None = None,
+        sensors: Sensors | None = None,
     ) -> None:
         if control_interval is None:
             control_interval = 0.2 / car.natural_frequency
@@ -207,6 +209,7 @@ class Switching:
             reward=plain.reward_by_name,
             observation=observation,
             control_interval=control_interval,
+            sensors=sensors,
         )
         self._levels = np.array(damping, np.float32)
         self._interval = self._task.control_interval * car.natural_frequency

@@ -26,7 +26,9 @@ from .roads import (
     read_profile,
     sample_road,
 )
+from .sensors import Sensors
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
+from .valve import Valve
 
 __all__ = [
     "CARS",
@@ -50,9 +52,11 @@ __all__ = [
     "ProfileRoad",
     "QuarterCar",
     "Road",
+    "Sensors",
     "SpeedNoise",
     "TwoCornerRoad",
     "TwoMassCar",
+    "Valve",
     "WhiteSpeedNoise",
     "__version__",
     "read_profile",

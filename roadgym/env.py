@@ -67,8 +67,10 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
       ``signal_scale`` holds the factors that make metres, or the car's units, of them.
     - Info, in double precision: the interval's mean squares ``displacement``, ``velocity``, ``acceleration``, ``travel`` and
       ``relative_velocity`` in m^2 (velocities over w1, accelerations over w1^2; infinite where the road's slope is white
-      noise), the ``damping`` that was applied, and the operating point ``speed`` (m/s) and ``bandwidth`` (1). At a reset no
-      interval has been driven yet: mean squares and damping are 0.
+      noise), the ``damping`` that was in force, in the mean over the interval, and the operating point ``speed`` (m/s) and
+      ``bandwidth`` (1); with a `roadgym.Valve` that is not ideal, ``damping_command`` too, the action within its range. At a
+      reset no interval has been driven yet: mean squares and damping are 0.
+    - `roadgym.Sensors` disturb the observation alone: infos, rewards and ``state`` are true values.
     - Episodes never terminate; a time limit truncates them (500 steps by registration). Each starts with the road in its
       stationary law and the car at rest, at zero or, of two masses, standing on the road; or warmed up.
     - ``reset(options={"speed": ..., "bandwidth": ...})`` fixes the operating point of this episode.
@@ -99,7 +101,7 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.signal_scale = self.task.signal_scale
         self.plant = Plant(self.task, 1, threads=1, told=True)
         self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
-        self._names = self.task.car.mean_squares
+        self._names, self._valve = self.task.car.mean_squares, not self.task.valve.ideal
         self.history: History | None = None
         self._picture: Picture | None = None
         self._window: Window | None = None
@@ -127,6 +129,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
                 self.render()
         _, _, speed, bandwidth, *_ = began.only()
         info = {**dict.fromkeys(self._names, 0.0), "damping": 0.0, "speed": speed}
+        if self._valve:
+            info["damping_command"] = 0.0
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
         return began.observations[0], info
@@ -146,6 +150,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         reward, damping, speed, bandwidth, *squares = interval.only()
         info: dict[str, Any] = dict(zip(self._names, squares))  # noqa: B905  (to be strict takes a fiftieth of the step)
         info["damping"] = damping
+        if self._valve:
+            info["damping_command"] = squares[-1]
         info["speed"] = speed
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth

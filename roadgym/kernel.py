@@ -4,8 +4,8 @@ Data flow of one control interval, for each block of LANES lanes (see `roadgym.c
 
 1. clip the actions to the damping range; the car prepares for that damping;
 2. draw all random words of the interval, a pure function of (seed, episode, step);
-3. for each substep: the speed noise turns the road's angle, the road advances, the car follows, and filters of its signals
-   follow it, the squares add up;
+3. for each substep: a valve that is not ideal moves the damping, and the car prepares anew; the speed noise turns the road's
+   angle, the road advances, the car follows, and filters of its signals follow it, the squares add up, sensors take samples;
 4. add up the reward from the mean squares, count the step, observe;
 5. lanes whose episode is over start anew, one by one.
 
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .actuation import close_substep, open_substep, start_valve, take_commands
 from .compiled import (
     BANDWIDTH,
     DAMPING,
@@ -55,13 +56,13 @@ from .record import (
     SQUARES,
     STEP,
 )
+from .sensing import advance_sensors, observe_block, start_sensors
 from .signals import (
     add_squares,
     advance_filters,
     clip,
     copy_row,
     new_work,
-    observe_block,
     prepare_filters,
     report_block,
     row_of,
@@ -99,14 +100,19 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
     draw_words(plant, words, counters, purpose, substeps * (plant.road_words + plant.speed_words))
     block, word, own = lanes.ctypes.data, words.ctypes.data, work.ctypes.data
     car = block + np.uint64(lanes.itemsize * plant.car)
-    shares = pointer(plant.shares, 0.0)
+    shares, moving = pointer(plant.shares, 0.0), plant.valve_moves != 0 and purpose == INTERVAL
     work[SHARE] = shares[0]
-    call_car(plant.car_prepare, block, car, own, plant.car_table)
-    if plant.filters:
-        prepare_filters(plant, lanes, work)
-    if more:
-        add_squares(plant, lanes, work, True)
+    if plant.valve and purpose == INTERVAL:
+        take_commands(plant, lanes, work)
     for k in range(substeps):
+        if moving:
+            open_substep(plant, lanes, work, k)
+        if k == 0 or moving:
+            call_car(plant.car_prepare, block, car, own, plant.car_table)
+            if plant.filters:
+                prepare_filters(plant, lanes, work)
+            if more:
+                add_squares(plant, lanes, work, True)
         if plant.speed_advance != 0:
             call(plant.speed_advance, block, word, plant.speed_table)
             if plant.road_prepare != 0:
@@ -114,12 +120,16 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
                     call(plant.road_prepare, block + np.uint64(lanes.itemsize * i), word, plant.road_table)
             word += np.uint64(4 * LANES * plant.speed_words)
         call(plant.road_advance, block, word, plant.road_table)
-        work[SHARE] = shares[k + 1]
+        work[SHARE] = pointer(plant.valve_shares, 0.0)[2 * k + 1] if moving else shares[k + 1]
         call_car(plant.car_advance, block, car, own, plant.car_table)
         if plant.filters:
             advance_filters(plant, lanes, work)
         if more:
             add_squares(plant, lanes, work, False)
+        if moving:
+            close_substep(plant, lanes, work, k)
+        if plant.sensors and purpose == INTERVAL:
+            advance_sensors(plant, lanes, work, counters, k + 1)
         if path != 0:
             rows = pointer(path, lanes)
             for i in range(LANES):
@@ -164,6 +174,7 @@ def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced
     if plant.road_prepare != 0:
         call(plant.road_prepare, lane, word, plant.road_table)
     call(plant.road_start, lane, word + np.uint64(4 * LANES * 4), plant.road_table)
+    start_valve(plant, lanes, i)
     heights = pointer(plant.start, 0.0)
     for j in range(plant.states):
         lanes[state_row(plant, j) + i] = like(lanes, heights[j]) * lanes[LEVEL + i]
@@ -271,21 +282,25 @@ def step_blocks(
         elif mode == SAME_STEP and ended:
             for i in range(count):
                 due[i] = over[i]
-            observe_block(plant, lanes, work, final_observations, first, count)
+            observe_block(plant, lanes, work, counts, final_observations, first, count)
         if pending or (mode == SAME_STEP and ended):
             restart_due(plant, lanes, counts, due, work, words, nothing_forced, first)
             for i in range(count):
                 # a new episode has no action yet: its first observation is that of the softest damper, as after `reset`
-                work[DAMPING + i] = low if due[i] else clip(like(state, asked[i]), low, high)
+                if plant.valve:
+                    work[DAMPING + i] = lanes[plant.valve_row + i]
+                else:
+                    work[DAMPING + i] = low if due[i] else clip(like(state, asked[i]), low, high)
                 if pending and due[i]:
                     results[RESULT_SPEED, first + i] = lanes[SPEED + i] * plant.speed_unit
                     results[RESULT_BANDWIDTH, first + i] = lanes[BANDWIDTH + i]
+            start_sensors(plant, lanes, work, counts, due)
             if unsound < 0:
                 unsound = unsound_state(plant, lanes, count, first)
         if mode == NEXT_STEP and ended:
             for i in range(count):
                 counts[PENDING + i] = over[i]
-        observe_block(plant, lanes, work, observations, first, count)
+        observe_block(plant, lanes, work, counts, observations, first, count)
     return unsound
 
 
@@ -323,8 +338,9 @@ def reset_blocks(
             due[i] = mask[first + i] if i < count else mask[first]
         restart_due(plant, lanes, counts, due, work, words, forced, first)
         for i in range(LANES):
-            work[DAMPING + i] = plant.damping_low
-        observe_block(plant, lanes, work, observations, first, count)
+            work[DAMPING + i] = lanes[plant.valve_row + i] if plant.valve else like(lanes, plant.damping_low)
+        start_sensors(plant, lanes, work, counts, due)
+        observe_block(plant, lanes, work, counts, observations, first, count)
         copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
         copy_row(lanes, SPEED, results, RESULT_SPEED, first, count, plant.speed_unit)
         copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count, 1.0)

@@ -88,6 +88,12 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "words": Range(0, 200_000, "random words of a car in a control interval"),
         "words of a component": Range(0, 64, "random words of a road or of a speed noise in a substep"),
         "rows of a component": Range(0, 256, "numbers that a road keeps for each car, or a car in an interval"),
+        "sensor": Range(0.0, 1e9, "noise, bias and resolution of a sensor, in its unit, and its delay and interval, s"),
+        "delay": Range(
+            0.0, 1e3, "delay of a sensor or a valve, and interval of a sensor, in control intervals; and in samples"
+        ),
+        "valve time": Range(0.0, 1e9, "delay of a valve, and its time constants, s"),
+        "valve rate": Range(1e-9, 1e12, "largest rate of a valve, damping ratio a second, 1/s"),
         "relative warm-up": Range(0.0, 1e6, "warm_up * w1, 1"),
         "warm-up substeps": Range(0, 10_000_000, "substeps in the warm-up"),
         "num_envs": Range(1, 2**24, "environments in a batch"),

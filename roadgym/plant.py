@@ -16,6 +16,9 @@ from . import compiled, kernel
 from .cars import Car
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .filters import filter_table
+from .interval import CommandedInterval as CommandedInterval
+from .interval import Floats as Floats
+from .interval import Interval as Interval
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
 from .record import (
@@ -24,13 +27,10 @@ from .record import (
     EPISODE,
     NEXT_STEP,
     OBSERVED_BANDWIDTH,
+    OBSERVED_SENSOR,
     OBSERVED_SIGNAL,
     OBSERVED_SPEED,
     PLANT,
-    RESULT_BANDWIDTH,
-    RESULT_DAMPING,
-    RESULT_SPEED,
-    REWARD,
     SAME_STEP,
     SQUARES,
     STEP,
@@ -38,10 +38,11 @@ from .record import (
 )
 from .reward import divergent_terms
 from .roads import Road
+from .sensors import SensorTables, check_delays
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
+from .valve import shares_of_ends
 
-Floats = npt.NDArray[np.float64]
 AUTORESET = {"next_step": NEXT_STEP, "same_step": SAME_STEP, "disabled": DISABLED}
 BLOCKS_PER_THREAD = 32  # below this, starting a thread costs more than it saves
 
@@ -105,62 +106,6 @@ def lane_address(component: Road | SpeedNoise | Car, function: LaneFunction | No
         raise ParameterError(f"a lane function of the {component.kind} component does not compile: {error}") from error
 
 
-class Interval:
-    """What happened to the environments in a control interval, or at a reset.
-
-    Attributes:
-        observations: shape (num_envs, signals), float32.
-        truncated: whose episode has ended, shape (num_envs,).
-        final_observations: the last observations of these episodes, with the autoreset "same_step", where the others are those
-            of the next episodes already; meaningless where none has ended.
-    """
-
-    __slots__ = ("_results", "final_observations", "observations", "truncated")
-
-    def __init__(
-        self,
-        observations: npt.NDArray[np.float32],
-        results: Floats,
-        truncated: npt.NDArray[np.bool_],
-        final_observations: npt.NDArray[np.float32],
-    ) -> None:
-        self.observations, self._results = observations, results
-        self.truncated, self.final_observations = truncated, final_observations
-
-    @property
-    def reward(self) -> Floats:
-        """Shape (num_envs,)."""
-        row: Floats = self._results[REWARD]
-        return row
-
-    @property
-    def mean_squares(self) -> Floats:
-        """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
-        return self._results[SQUARES:]
-
-    @property
-    def damping(self) -> Floats:
-        """The damping ratios that were applied, shape (num_envs,)."""
-        row: Floats = self._results[RESULT_DAMPING]
-        return row
-
-    @property
-    def speed(self) -> Floats:
-        """The mean speed, in the plant's unit, shape (num_envs,)."""
-        row: Floats = self._results[RESULT_SPEED]
-        return row
-
-    @property
-    def bandwidth(self) -> Floats:
-        """Of the road, 0 where it has none, shape (num_envs,)."""
-        row: Floats = self._results[RESULT_BANDWIDTH]
-        return row
-
-    def only(self) -> list[float]:
-        """Reward, damping, speed, bandwidth and mean squares of the first environment, in this order, as numbers."""
-        return self._results[:, 0].tolist()  # type: ignore[no-any-return]
-
-
 class Plant:
     """``num_envs`` independent cars.
 
@@ -194,12 +139,23 @@ class Plant:
         self._car = COEFFICIENT + road.rows * LANES
         self._filters = self._car + car.rows * LANES
         self._own_states = len(car.motion.own.states)
-        self._block_size = self._filters + (len(car.motion.states) - self._own_states) * LANES
+        end, sensors = self._filters + (len(car.motion.states) - self._own_states) * LANES, task.real_sensors
+        sources = {name: self._observed_code(name) for name in sensors}
+        self._sensors = SensorTables.of(sensors, sources, task.control_interval, task.substeps, end)
+        self._valve = end + self._sensors.rows * LANES
+        self._block_size = self._valve + task.valve.rows(task.control_interval) * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
+        if max_episode_steps:
+            delays = {"the valve": task.valve.delay} | {f"the sensor of {name}": each.delay for name, each in sensors.items()}
+            check_delays(delays, task.control_interval, max_episode_steps)
         self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
         self._autoreset = AUTORESET[autoreset]
-        self._observed, self._results = (num_envs, len(task.signals)), (SQUARES + len(task.reward), num_envs)
+        self._observed, self._results = (
+            (num_envs, len(task.signals)),
+            (SQUARES + len(task.reward) + (not task.valve.ideal), num_envs),
+        )
+        self._interval = Interval if task.valve.ideal else CommandedInterval
         self.started = False
 
         within(f"variance of the {road.kind} road", road.variance, "variance")
@@ -213,7 +169,7 @@ class Plant:
             table = noise.table(self._substep, car.natural_frequency, road)
             self._tables["speed"] = padded_table(f"table of the {noise.kind} speed noise", table, self.dtype, finite=False)
         signals = list(car.mean_squares)
-        infinite = divergent_terms(car, road, noise)
+        infinite, codes = divergent_terms(car, road, noise), {name: OBSERVED_SENSOR - k for k, name in enumerate(sensors)}
         self._constants: dict[str, npt.NDArray[Any]] = {
             "weights": np.array(task.weights, np.float64),
             "square_units": task.square_units if told else np.ones(len(task.reward)),
@@ -221,7 +177,10 @@ class Plant:
             "factors": np.ascontiguousarray(car.motion.rows, np.float64),
             "filter_table": filter_table(car.motion, self._substep),
             "start": car.starts_on_road * car.motion.follows,
-            "observed": np.array([self._observed_code(name) for name in task.signals], np.int64),
+            "observed": np.array([codes.get(name, self._observed_code(name)) for name in task.signals], np.int64),
+            "valve_shares": shares_of_ends(task.substeps),
+            "sensor_integers": self._sensors.integers,
+            "sensor_numbers": self._sensors.numbers,
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
         self._record = self._make_record()
@@ -268,6 +227,10 @@ class Plant:
             "squared": car.squared,
             "relative": signals.index(car.motion.relative),
             "observations": len(task.signals),
+            "sensors": len(self._sensors.integers),
+            "valve_row": self._valve,
+            "valve_rows": task.valve.rows(task.control_interval),
+            **task.valve.numbers(task.control_interval, car.natural_frequency),
             "block_size": self._block_size,
             "car": self._car,
             "work": compiled.WORK + (car.squared + car.working_rows) * LANES,
@@ -358,7 +321,7 @@ class Plant:
         results = np.zeros(self._results)
         self._run(kernel.reset_blocks, forced, mask, observations, results)
         self.started = True
-        return Interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
+        return self._interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
 
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
         """One control interval with the damping ratios ``actions``, shape (num_envs,)."""
@@ -367,7 +330,7 @@ class Plant:
         results = np.empty(self._results)
         truncated = np.empty(self.num_envs, np.bool_)
         self._run(kernel.step_blocks, actions, observations, results, truncated, final)
-        return Interval(observations, results, truncated, final)
+        return self._interval(observations, results, truncated, final)
 
     def trace(self, actions: npt.NDArray[np.float32]) -> tuple[Interval, npt.NDArray[Any], npt.NDArray[Any]]:
         """`step`, and what was met on the way.
@@ -426,13 +389,16 @@ class Plant:
         if row in states:
             place = states.index(str(row))
             return self._car + place * LANES if place < self._own_states else self._filters + (place - self._own_states) * LANES
+        if row == "damping" and not self.task.valve.ideal:
+            return self._valve
         return BUS[row] if isinstance(row, str) else row
 
     def row(self, row: str | int) -> npt.NDArray[Any]:
         """A copy of one row of the state, shape (num_envs,), in the kernel's units.
 
         Args:
-            row: the name of a state of the car, a name of `BUS`, or a row of the road's own by its offset.
+            row: the name of a state of the car, a name of `BUS`, "damping" for that in force behind a valve that is not ideal,
+                or a row of the road's own by its offset.
         """
         rows = self._state.reshape(self.blocks, -1, LANES)
         return rows[:, self._offset(row) // LANES, :].reshape(-1)[: self.num_envs].copy()

@@ -25,6 +25,8 @@ PLANT = np.dtype(
         # row of the block or one of the codes below, and whether a mean square is infinite
         *((name, np.uint64) for name in ("weights", "square_units", "shares", "factors", "start", "observed", "infinite")),
         ("filter_table", np.uint64),  # address of 64-bit numbers, `roadgym.filters.filter_table`
+        # addresses of 64-bit integers and numbers, `roadgym.sensors.SensorTables`
+        *((name, np.uint64) for name in ("sensor_integers", "sensor_numbers")),
         ("path", np.uint64),  # address of rows for the angle and the level of each substep of each block, see `Plant.trace`
         # how many of each there are, in a block where it is of rows
         *((name, np.int64) for name in ("substeps", "road_words", "speed_words", "states", "signals", "squared", "relative")),
@@ -32,6 +34,13 @@ PLANT = np.dtype(
         ("autoreset", np.int64),
         # states of the car itself, filters of its signals, and the row of the block at which the states of these begin
         *((name, np.int64) for name in ("own_states", "filters", "filter_states")),
+        ("sensors", np.int64),  # signals that are observed by them
+        # is there a valve that is not ideal, `roadgym.valve`, and does it move D within an interval: where its rows of a block
+        # begin, how many they are, the whole intervals of its delay, its levels or 0; address of 64-bit numbers,
+        # `valve.shares_of_ends`; the rest of its delay in intervals, its largest rate and its time constants
+        *((name, np.int64) for name in ("valve", "valve_moves", "valve_row", "valve_rows", "valve_late", "valve_levels")),
+        ("valve_shares", np.uint64),
+        *((name, np.float64) for name in ("valve_part", "valve_rate", "valve_rise", "valve_fall")),
         *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),
         *((name, np.float64) for name in ("bandwidth_low", "bandwidth_high", "warm_up_damping", "saturation")),
         ("speed_unit", np.float64),  # in which results are told
@@ -39,6 +48,7 @@ PLANT = np.dtype(
 )
 OBSERVED = ("level", "slope", "speed", "bandwidth")  # what is observed beside the signals of the car
 OBSERVED_SPEED, OBSERVED_BANDWIDTH, OBSERVED_SIGNAL = -1, -2, -3  # the last and below: signals of the car, one after the other
+OBSERVED_SENSOR = -1_000_000  # and below: sensors, one after the other
 
 
 def interval_weights(substeps: int) -> npt.NDArray[np.float64]:

@@ -69,7 +69,7 @@ class History:
         trace: height of the body, level and reward at the ends of the last steps, shape (steps, 3); no reward (0) at the start.
         signals: those that are told in figures, now, in their units.
         loads: the force on the road at the ends of the last steps, less its mean, N, shape (steps,); where it has no trace, 0.
-        damping: D that the last step applied.
+        damping: D in force at the end of the last step.
         steps: since the episode began.
         cost: sum of minus the rewards since then.
         lifted: after how many of these steps the force on the road was none.
@@ -102,6 +102,8 @@ class History:
         """Remember what `Plant.trace` tells of a step in which the car went on with its episode."""
         scale = self._gauges.pixels_per_radian
         reward, self.damping = float(interval.reward[self._car]), float(interval.damping[self._car])
+        if not self._plant.task.valve.ideal:
+            self.damping = self._now("damping")
         for turn, end in zip(angle[:, self._car].tolist(), level[:, self._car].tolist(), strict=True):
             here = self.path[-1][0] + turn
             if len(self.path) > 1 and abs(self.path[-1][0] - self.path[-2][0]) < 0.25 / scale:

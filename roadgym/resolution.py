@@ -12,6 +12,7 @@ from .speed import SpeedNoise
 LARGEST_ANGLE = 0.1  # largest angle, rad, of the car and of the road in a substep
 LARGEST_TURN_VARIANCE = 0.1  # largest variance, rad^2, of the random part of the harmonic road's angle in a substep
 LARGEST_DECAY = 0.2  # largest product of damping ratio and angle of the car in a substep
+FINER = 0.3  # share of these angles where D moves within a control interval, as the mean squares are of second order then
 BROAD = 3.0  # bandwidth beyond which a substep must resolve more than the road's angle
 SINGLE_DECAY = 6e-4  # least share of a slow motion that decays in a substep, for single precision to keep 1e-4 of it
 SINGLE_SUBSTEP = 0.004  # shortest substep, 1/w1, in which single precision does that with the velocity
@@ -77,13 +78,18 @@ def needed_substeps(
     damping: float,
     interval: float,
     given: int | None,
+    still: bool = True,
 ) -> int:
-    """Substeps in a control interval: those ``given`` if they are enough to be stable, or as many as it takes to be exact."""
+    """Substeps in a control interval: those ``given`` if they are enough to be stable, or as many as it takes to be exact.
+
+    Where D is not ``still`` within an interval it takes more; how fast it moves does not count, as a valve moves exactly.
+    """
     # the slowest speed is the one that noise stops most easily, the fastest turns the road the fastest
     angle = interval * max(fastest_rate(road, speed_noise, car, end, bandwidth) for end in speeds)
     decay = damping * car.firmness * interval * car.natural_frequency
     if given is None:
-        needed = max(math.ceil(angle / LARGEST_ANGLE - 1e-9), math.ceil(decay / LARGEST_DECAY - 1e-9), 2)
+        share = 1.0 if still else FINER
+        needed = max(math.ceil(angle / (share * LARGEST_ANGLE) - 1e-9), math.ceil(decay / (share * LARGEST_DECAY) - 1e-9), 2)
         check_ratio(
             "control_interval",
             interval,

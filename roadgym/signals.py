@@ -29,9 +29,6 @@ from .compiled import (
     pointer,
 )
 from .record import (
-    OBSERVED_BANDWIDTH,
-    OBSERVED_SIGNAL,
-    OBSERVED_SPEED,
     RESULT_BANDWIDTH,
     RESULT_DAMPING,
     RESULT_SPEED,
@@ -43,6 +40,11 @@ from .record import (
 # line; the impulse k m; the level at the beginning
 NOW, NEXT, INPUTS, IMPULSE, BEFORE = 0 * LANES, 2 * LANES, 4 * LANES, 6 * LANES, 7 * LANES
 FILTER_ROWS = 8
+COMMAND, MEAN, VALVE_ROWS = (
+    0 * LANES,
+    1 * LANES,
+    5,
+)  # of a valve: the command, D's mean over the interval; how many beside squares
 SECTION = 10  # numbers of a section in `roadgym.filters.filter_table`
 
 
@@ -77,9 +79,16 @@ def filter_row(plant: Any, k: int) -> int:
 
 
 @compiled
+def valve_work(plant: Any) -> int:
+    """Where ``work`` has the rows of the valve, after all others."""
+    return int(filter_row(plant, plant.filters))
+
+
+@compiled
 def new_work(plant: Any, state: Any) -> Any:
     """The numbers of an interval of one block, with its constants in place."""
-    work = np.zeros(filter_row(plant, plant.filters), state.dtype)
+    rows = VALVE_ROWS + plant.signals if plant.valve else 0
+    work = np.zeros(valve_work(plant) + rows * LANES, state.dtype)
     work[SUBSTEP] = plant.substep
     work[INVERSE_SUBSTEP] = 1.0 / plant.substep
     return work
@@ -212,32 +221,6 @@ def clip(value: Any, low: Any, high: Any) -> Any:
 
 
 @compiled
-def observe_block(plant: Any, lanes: Any, work: Any, observations: Any, first: int, count: int) -> None:
-    """Write what is observed of the first ``count`` lanes to the rows from ``first`` of ``observations``."""
-    one, two = like(lanes, 1.0), like(lanes, 2.0)
-    high = like(lanes, plant.saturation)
-    low = -high
-    observed, number = pointer(plant.observed, np.int64(0)), plant.observations
-    own, target = row_of(work, signal_row(plant)), row_of(observations, first * number)
-    for j in range(number):
-        what, row = observed[j], own
-        if what >= 0:
-            row = row_of(lanes, what)
-        elif what == OBSERVED_SPEED:
-            for i in range(LANES):
-                own[i] = lanes[SPEED + i] / (one + lanes[SPEED + i])
-        elif what == OBSERVED_BANDWIDTH:
-            for i in range(LANES):
-                own[i] = two * lanes[BANDWIDTH + i] / (one + two * lanes[BANDWIDTH + i])
-        else:
-            write_signal(plant, lanes, work, OBSERVED_SIGNAL - what)
-        place = j
-        for i in range(count):
-            target[place] = clip(row[i], low, high)
-            place += number
-
-
-@compiled
 def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count: int, unit: float) -> Any:
     """Copy a row of a block, times a unit, into a row of the results; tells whether a number in it is not finite."""
     target = results[row, first : first + count]
@@ -267,7 +250,11 @@ def report_block(plant: Any, lanes: Any, work: Any, results: Any, first: int, co
             add_row(row_of(work, cost), row_of(work, square), weight, fresh)
             fresh = False
     unsound |= copy_row(work, cost, results, REWARD, first, count, 1.0)
-    copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
+    if plant.valve:
+        copy_row(work, valve_work(plant) + MEAN, results, RESULT_DAMPING, first, count, 1.0)
+        copy_row(work, valve_work(plant) + COMMAND, results, SQUARES + plant.signals, first, count, 1.0)
+    else:
+        copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
     copy_row(lanes, SPEED, results, RESULT_SPEED, first, count, plant.speed_unit)
     copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count, 1.0)
     found = -1

@@ -19,7 +19,9 @@ from .record import OBSERVED
 from .resolution import needed_precision, needed_substeps
 from .reward import asked_signals, check_weights, cost_unit, divergence_cause, divergent_terms
 from .roads import Road, make_road
+from .sensors import Sensor, Sensors, make_sensors
 from .speed import SpeedNoise, make_speed_noise
+from .valve import Valve, make_valve
 
 if not TYPE_CHECKING:
     __getattr__ = moved(
@@ -49,6 +51,8 @@ class Task:
         substeps: substeps in a control interval.
         warm_up: time driven at ``warm_up_damping`` before an episode begins, s.
         precision: "float32" or "float64", the format of the state.
+        sensors: through which the signals are observed; None for ideal ones.
+        valve: between the action and the damping in force.
     """
 
     road: Road
@@ -64,6 +68,8 @@ class Task:
     warm_up: float
     warm_up_damping: float
     precision: str
+    sensors: Sensors | None
+    valve: Valve
 
     @property
     def reward_by_name(self) -> dict[str, float]:
@@ -117,13 +123,27 @@ class Task:
         accelerations over w1^2 as well. The operating point has scale 1: its entries are nu/(1 + nu) with
         nu = speed * wavenumber / natural_frequency, and 2 delta/(1 + 2 delta).
         """
-        deviation = math.sqrt(self.road.variance)
-        factors = dict(zip(self.car.mean_squares, self.car.unit_factors.tolist(), strict=True))
-        return np.array([1.0 if name in OPERATING_POINT else deviation * factors.get(name, 1.0) for name in self.signals])
+        return signal_scales(self.car, self.road, self.signals)
+
+    @property
+    def real_sensors(self) -> dict[str, Sensor]:
+        """The sensors of observed signals that are not ideal, in the unit of observations, by name of the signal."""
+        if self.sensors is None:
+            return {}
+        scales = zip(self.signals, self.signal_scale.tolist(), strict=True)
+        found = {name: self.sensors.of(name, scale) for name, scale in scales if name not in OPERATING_POINT}
+        return {name: sensor for name, sensor in found.items() if not sensor.ideal}
 
     def frequency_ratio(self, speed: Any) -> Any:
         """nu = speed * wavenumber / natural_frequency."""
         return speed * self.road.wavenumber / self.car.natural_frequency
+
+
+def signal_scales(car: Car, road: Road, names: Sequence[str]) -> npt.NDArray[np.float64]:
+    """`Task.signal_scale` of the signals of these names."""
+    deviation = math.sqrt(road.variance)
+    factors = dict(zip(car.mean_squares, car.unit_factors.tolist(), strict=True))
+    return np.array([1.0 if name in OPERATING_POINT else deviation * factors.get(name, 1.0) for name in names])
 
 
 def signals(car: Car) -> tuple[str, ...]:
@@ -213,6 +233,8 @@ class TaskParameters(TypedDict, total=False):
     warm_up: float
     warm_up_damping: float | None
     precision: str | None
+    sensors: Mapping[str, Any] | Sensors | None
+    valve: Mapping[str, Any] | Valve | None
 
 
 def make_task(
@@ -232,6 +254,8 @@ def make_task(
     warm_up: float = 0.0,
     warm_up_damping: float | None = None,
     precision: str | None = None,
+    sensors: Mapping[str, Any] | Sensors | None = None,
+    valve: Mapping[str, Any] | Valve | None = None,
 ) -> Task:
     """Check every parameter and fill in the defaults.
 
@@ -254,12 +278,15 @@ def make_task(
         control_interval: time between actions, s; the car's by default, 0.2 / natural_frequency of one mass and 0.005 of two.
         substeps: substeps in a control interval; by default as many as keep the angle of the car, of the road and of the
             speed noise (`fastest_rate`) in a substep at most 0.1 rad, and D times the car's angle at most 0.2; but at least
-            two, without which the mean squares are off where D switches (`roadgym.record.interval_weights`). Fewer are less
+            two, without which the mean squares are off where D switches (`roadgym.record.interval_weights`); three times as
+            many where a valve moves D within an interval. Fewer are less
             exact: the mean squares are of fourth order in the angle, which may be 1 rad at most.
         warm_up: time, s, driven at ``warm_up_damping`` before each episode.
         warm_up_damping: damping ratio of the warm-up; the upper end of ``damping_range`` by default.
         precision: "float32" or "float64"; by default what keeps the mean squares within 1e-4: single precision, but for bounded
             roads that touch their bound, slow roads and cars, and short substeps.
+        sensors: `roadgym.Sensors` through which the signals are observed, or a mapping of its arguments; ideal by default.
+        valve: `roadgym.Valve` between the action and the damping in force, or a mapping of its arguments; ideal by default.
 
     Ranges of all of them are in `roadgym.parameters.RANGES`.
 
@@ -316,7 +343,10 @@ def make_task(
     warm_up = non_negative("warm_up", warm_up)
     check_ratio("warm_up", warm_up, "warm_up * w1", warm_up * w1, "relative warm-up")
     stiffness = damping[1] if warm_up_damping is None else within("warm_up_damping", warm_up_damping, "damping")
-    number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], max(damping[1], stiffness), interval, substeps)
+    the_valve = make_valve(valve)
+    the_valve.check(interval)
+    firmest, still = max(damping[1], stiffness), the_valve.is_still(interval)
+    number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], firmest, interval, substeps, still)
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
     check_ratio(
         "control_interval",
@@ -333,6 +363,11 @@ def make_task(
         "warm-up substeps",
     )
 
+    the_sensors = make_sensors(sensors)
+    if the_sensors is not None:
+        known = [name for name in observable if name not in OPERATING_POINT]
+        scales = signal_scales(the_car, the_road, known).tolist()
+        the_sensors.check(dict(zip(known, scales, strict=True)), interval, number)
     slowest = speeds[0] * the_road.wavenumber / w1
     if bandwidths[0] > 0:
         loss = bandwidths[0] * slowest * interval * w1 / number
@@ -363,4 +398,6 @@ def make_task(
         warm_up=warm_up,
         warm_up_damping=stiffness,
         precision=precision,
+        sensors=the_sensors,
+        valve=the_valve,
     )

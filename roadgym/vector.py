@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, state_names
 from .moved import moved
 from .parameters import ParameterError, shown, single_precision, whole
-from .plant import Interval, Plant
+from .plant import CommandedInterval, Interval, Plant
 from .task import OPERATING_POINT, TaskParameters, make_task
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
@@ -105,6 +105,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
         info: dict[str, Any] = dict(zip(self.task.car.mean_squares, interval.mean_squares, strict=True))
         info["damping"] = interval.damping
+        if isinstance(interval, CommandedInterval):
+            info["damping_command"] = interval.command
         info["speed"] = interval.speed
         if self.task.bandwidth[1] > 0:
             info["bandwidth"] = interval.bandwidth

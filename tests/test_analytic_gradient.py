@@ -157,7 +157,11 @@ def test_it_is_what_is_trained_where_nothing_is_chosen(tmp_path):
     agent = agents.train(tmp_path / "a", environment=PLANTS["white"], timesteps=1)
     assert [agent.description[name] for name in ("algorithm", "training_reward")] == ["apg", "gradient"]
     assert theory_given(agent).startswith("learned from the cost, differentiated through the plant")
-    assert usual_algorithm(True) == usual_algorithm(False, ["module:Wrapper"]) == "ppo"  # whose hyperparameters files are
+    ideal = make_task(**PLANTS["white"])
+    slow, noisy = make_task(valve={"delay": 0.2}), make_task(sensors={"noise": 0.1})
+    assert usual_algorithm(ideal, True) == usual_algorithm(ideal, False, ["module:Wrapper"]) == "ppo"
+    assert usual_algorithm(slow, False) == usual_algorithm(noisy, False) == "ppo"
+    assert usual_algorithm(make_task(), False) == "apg"
 
 
 def test_other_wrappers_of_stable_baselines_do_not_disturb():

@@ -46,6 +46,18 @@ def test_train_and_compare(tmp_path):
     assert (tmp_path / "agent" / "agent.json").read_text() == made
 
 
+def test_slow_valves(tmp_path):
+    few = ("--lags", "30", "--delays", "--levels", "2", "--rules", "clipped_lqr", "--episodes", "16", "--duration", "1")
+    first, head, *rows = run("slow_valves.py", *few, folder=tmp_path).splitlines()
+    assert re.fullmatch(r"the best constant damping costs \S+; over it", first)
+    assert head.split() == ["clipped_lqr"]
+    found = {row[:15].strip(): [float(word) for word in row[15:].split() if word != "±"] for row in rows}
+    assert list(found) == ["ideal", "lag 30 ms", "2 levels"]
+    (ideal, error), (slow, its_own) = found["ideal"], found["lag 30 ms"]
+    assert abs(ideal - 0.714) < 0.03 + 4 * error
+    assert slow - ideal > 0.05 - 3 * (error + its_own)
+
+
 def test_rules_of_two_masses(tmp_path):
     rules = ("--rewards", "comfort", "--rules", "skyhook", "hybrid", "clipped_lqr")
     output = run("rules_of_two_masses.py", *rules, "--episodes", "16", "--duration", "4", folder=tmp_path)

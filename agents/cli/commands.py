@@ -64,12 +64,14 @@ def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
     return with_wrappers(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), chosen.wrapper)
 
 
-def _choose_algorithm(chosen: argparse.Namespace) -> None:
+def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]) -> None:
     """Fill in the algorithm where none is named."""
+    from roadgym.task import make_task
+
     from ..training import usual_algorithm
 
     if chosen.algorithm is None:
-        chosen.algorithm = usual_algorithm(chosen.hyperparameters is not None, chosen.wrapper)
+        chosen.algorithm = usual_algorithm(make_task(**environment), chosen.hyperparameters is not None, chosen.wrapper)
 
 
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
@@ -105,7 +107,7 @@ def run_train(chosen: argparse.Namespace) -> None:
         environment = {**known, **given_environment(chosen)}
     else:
         environment = environment_from(chosen)
-    _choose_algorithm(chosen)
+    _choose_algorithm(chosen, environment)
     agent = _train(chosen, folder, environment, seed=chosen.seed, resume=chosen.resume)
     print(f"trained for {agent.description['timesteps']} steps: {folder}")
 
@@ -215,8 +217,8 @@ def run_compare(chosen: argparse.Namespace) -> None:
         learned, environment = group_agents(loaded)
         kinds = [_kind(agent.description) for agent in loaded.values()]
     else:
-        _choose_algorithm(chosen)
         learned, environment = {AGENT: []}, environment_from(chosen)
+        _choose_algorithm(chosen, environment)
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)

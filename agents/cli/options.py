@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, TwoMassCar
+from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, Sensors, TwoMassCar, Valve
 from roadgym.task import signals
 
 
@@ -19,7 +19,7 @@ def nonempty(text: str) -> str:
 
 
 def component(text: str) -> Any:
-    """A road, a speed noise or a car: its name, or the mapping that JSON tells."""
+    """A component: its name, or the mapping that JSON tells."""
     if not text.lstrip().startswith("{"):
         return text
     try:
@@ -95,6 +95,18 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         "--car",
         {"type": component, "metavar": "CAR", "help": f"{CAR_NAMES}, or a JSON mapping with the key kind"},
     ),
+    "sensors": (
+        "--sensors",
+        {
+            "type": component,
+            "metavar": "JSON",
+            "help": f"mapping of {', '.join(Sensors.__dataclass_fields__)}, each by signal or for all (ideal)",
+        },
+    ),
+    "valve": (
+        "--valve",
+        {"type": component, "metavar": "JSON", "help": f"mapping of {', '.join(Valve.__dataclass_fields__)} (ideal)"},
+    ),
     "natural_frequency": (
         "--natural-frequency",
         {"type": float, "metavar": "W1", "help": "natural frequency of the car of one mass, rad/s (1)"},
@@ -108,7 +120,7 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
     group.add_argument(
         "--algorithm",
         help="apg, ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent "
-        "(apg; ppo with --hyperparameters or --wrapper, and to tune)",
+        "(apg; ppo with --hyperparameters, --wrapper, --sensors or --valve, and to tune)",
     )
     group.add_argument(
         "--hyperparameters",

@@ -37,6 +37,7 @@ class Controller(abc.ABC):
     """
 
     needs: tuple[str, ...] = ()
+    full_knowledge: ClassVar[bool] = False  # is it a reference, which sees the plant itself and not what its sensors tell
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {}  # values among which `tuned` chooses, by the parameter's name
 
     def __init__(self, task: Task) -> None:

@@ -166,12 +166,17 @@ class OptimalFeedback(Scheduled):
     It is kept in the user's cache folder. With one mass each operating point takes some seconds the first time; with two, one
     serves all speeds and classes of road, and takes a minute or two.
 
+    It is a reference of full knowledge: evaluations hand it the state itself, not what sensors tell of it. It knows no valve
+    that is not ideal: behind one it is no longer the best.
+
     Attributes:
         report: called as ``report(what, done, in all)`` while a feedback is found, if it is set.
 
     Raises:
         ParameterError: a road or a speed noise for which there is no such feedback.
     """
+
+    full_knowledge = True
 
     def __init__(self, task: Task) -> None:
         super().__init__(task)

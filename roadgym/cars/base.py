@@ -27,7 +27,8 @@ class Car(abc.ABC):
     a signal that is added there is a mean square, a term of the reward and an observation at once. Its two lane functions (see
     `roadgym.compiled`) see lengths in standard deviations of the road and times in 1/w1. Both are of a block:
 
-    - ``prepare``, at the beginning of a control interval: what depends on the damping ``work[DAMPING + i]``;
+    - ``prepare``, at the beginning of a control interval, or of each substep where a valve moves the damping: what depends on
+      the damping ``work[DAMPING + i]``;
     - ``advance``: moves the states ``car[k * LANES + i]``, in the order of `motion`, on by one substep ``work[SUBSTEP]``, over
       a level that goes to ``lanes[LEVEL + i]`` straight, but for its mean excess ``lanes[LEVEL_EXCESS + i]`` over that line.
 

@@ -1,0 +1,83 @@
+"""What a plant tells of a control interval."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .record import RESULT_BANDWIDTH, RESULT_DAMPING, RESULT_SPEED, REWARD, SQUARES
+
+Floats = npt.NDArray[np.float64]
+
+
+class Interval:
+    """What happened to the environments in a control interval, or at a reset.
+
+    Attributes:
+        observations: shape (num_envs, signals), float32.
+        truncated: whose episode has ended, shape (num_envs,).
+        final_observations: the last observations of these episodes, with the autoreset "same_step", where the others are those
+            of the next episodes already; meaningless where none has ended.
+    """
+
+    __slots__ = ("_results", "final_observations", "observations", "truncated")
+
+    def __init__(
+        self,
+        observations: npt.NDArray[np.float32],
+        results: Floats,
+        truncated: npt.NDArray[np.bool_],
+        final_observations: npt.NDArray[np.float32],
+    ) -> None:
+        self.observations, self._results = observations, results
+        self.truncated, self.final_observations = truncated, final_observations
+
+    @property
+    def reward(self) -> Floats:
+        """Shape (num_envs,)."""
+        row: Floats = self._results[REWARD]
+        return row
+
+    @property
+    def mean_squares(self) -> Floats:
+        """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
+        return self._results[SQUARES:]
+
+    @property
+    def damping(self) -> Floats:
+        """The damping ratios that were in force, in the mean over the interval, shape (num_envs,)."""
+        row: Floats = self._results[RESULT_DAMPING]
+        return row
+
+    @property
+    def speed(self) -> Floats:
+        """The mean speed, in the plant's unit, shape (num_envs,)."""
+        row: Floats = self._results[RESULT_SPEED]
+        return row
+
+    @property
+    def bandwidth(self) -> Floats:
+        """Of the road, 0 where it has none, shape (num_envs,)."""
+        row: Floats = self._results[RESULT_BANDWIDTH]
+        return row
+
+    def only(self) -> list[float]:
+        """Reward, damping, speed, bandwidth and mean squares of the first environment, in this order, as numbers."""
+        return self._results[:, 0].tolist()  # type: ignore[no-any-return]
+
+
+class CommandedInterval(Interval):
+    """An interval of a plant with a valve that is not ideal; `only` tells the command after all else."""
+
+    __slots__ = ()
+
+    @property
+    def mean_squares(self) -> Floats:
+        """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
+        return self._results[SQUARES:-1]
+
+    @property
+    def command(self) -> Floats:
+        """The damping ratios that were commanded, within the range, shape (num_envs,)."""
+        row: Floats = self._results[-1]
+        return row
