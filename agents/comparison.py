@@ -12,23 +12,22 @@ from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 
 from .agent import Agent
+from .certified import check_bound, lower_bounds
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, tune_controller
 from .evaluation import Predictor, evaluate, evaluated_task
 from .names import name_folders, title
+from .numerals import above, percent, with_error
 from .progress import work_progress
 from .records import lasting, make_folder, plain, versions, write_atomically
 from .report import (
-    above,
     adjusted_by,
     blocks,
     make_report,
     mean_gap_closed,
     notes,
-    percent,
     table,
     theory_given,
     weighted,
-    with_error,
 )
 from .results import (
     CONFIDENCE,
@@ -44,6 +43,7 @@ from .results import (
     flat,
     gaps,
     make_rows,
+    mean_certified,
     mean_gap,
     ratio,
 )
@@ -161,6 +161,7 @@ def compare(
     controllers: Sequence[str] | None = None,
     episodes: int = 256,
     seed: int = 0,
+    bound: str = "fast",
     report: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
     """Drive learned agents, classical controllers and the optimal feedback over the same roads.
@@ -174,12 +175,15 @@ def compare(
         controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS`, or of
             `WHEEL_RIVALS`, that the plant allows. Those that have a parameter are tuned on the plant.
         episodes, seed: as for `agents.evaluate`.
+        bound: which lower bounds to hold the costs against: "fast", "tight" or a method's name, as of `analysis.lower_bound`;
+            or "none".
         report: called as ``report(what, done, in all)``; by default progress is told on the error stream.
 
     Raises:
         ParameterError: a parameter out of range, or a signal missing that a controller needs.
     """
     named = {} if agents is None else agents if isinstance(agents, Mapping) else {AGENT: [agents]}
+    check_bound(bound)
     plant = observed_in_full(environment)
     task = make_task(**plant)
     rivals = make_rivals(make_task(**plant), controllers)  # what evaluations tell beside is not theirs to know
@@ -201,11 +205,14 @@ def compare(
             seed=seed,
             report=tell,
         )
+        task = evaluated_task(plant)
+        bounds = lower_bounds(task, evaluations["analytic_optimum"].points, bound, tell)
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
-    task = evaluated_task(plant)
-    rows, references = make_rows(task, learned, evaluations)
+    rows, references = make_rows(task, learned, evaluations, bounds)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
+    optimal = {name: [evaluations[name]] for name in evaluations if name == "optimal_feedback"}
+    certified = {name: mean_certified(seeds, evaluations, bounds) for name, seeds in {**learned, **optimal}.items() if bounds}
     configuration = {
         "environment": lasting(plant),
         "episodes": episodes,
@@ -215,11 +222,12 @@ def compare(
         "control_variates": evaluations["analytic_optimum"].control_variates,
         "balances": evaluations["analytic_optimum"].balances,
         "best_known_feedback": references,
+        "bound": bound,
         "agents": {name: [plain(getattr(agent, "description", None)) for agent in seeds] for name, seeds in named.items()},
         "versions": versions(),
         "written": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-    return Comparison(rows, task, named, references, configuration, mean_gaps)
+    return Comparison(rows, task, named, references, configuration, mean_gaps, bounds, certified)
 
 
 def write(comparison: Comparison, folder: str | Path, report: Callable[[str, int, int], None] | None = None) -> list[Path]:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 import analysis
+from analysis import LowerBound
 from analysis.response import needs_simulation
 from roadgym.installation import needs
 from roadgym.reward import divergent_terms
@@ -38,10 +39,11 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
         if in_si(comparison.task)
         else "the frequency ratio ν, the speed in units of natural frequency over wavenumber"
     )
+    band = " Band: between the best known feedback and what no controller can beat." if comparison.bounded else ""
     pictures = [
         Picture(
             draw_cost_over_speed(comparison, folder / "cost_over_speed.png"),
-            f"Cost over {over}. Marks: driven, with two standard errors. Full lines: theory.",
+            f"Cost over {over}. Marks: driven, with two standard errors. Full lines: theory.{band}",
             draw_cost_over_speed(comparison, folder / "cost_over_speed_narrow.png", narrow=True),
         )
     ]
@@ -71,6 +73,7 @@ def draw_figures(comparison: Comparison, folder: Path, report: Report | None = N
     return pictures
 
 
+FARTHEST = 10.0  # times below the least driven cost at which the picture ends, wherever the lower bound is
 # signals across and up in the two rows of `draw_policy`
 AXES = (("velocity", "relative_velocity"), ("displacement", "travel"))
 SPEEDS_IN_WORDS = ("one speed", "two speeds", "three speeds")
@@ -92,7 +95,7 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
     task = comparison.task
     bandwidths = sorted({point.bandwidth for point in comparison.points})
     number = len(bandwidths)
-    shown = len(comparison.controllers)
+    shown = len(comparison.controllers) + comparison.bounded
     lines_of_legend = math.ceil(shown / (2 if narrow else 3 * number))
     size = (4.2, 2.9 * number + 0.5) if narrow else (5.2 * number + 0.6, 4.6)
     figure = Figure(figsize=(size[0], size[1] + 0.2 * lines_of_legend), layout="constrained")
@@ -125,6 +128,8 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
                     for speed in fine.tolist()
                 ]
                 axis.plot(abscissa(task, fine), curve, color=look["color"], linewidth=1.2)
+        if comparison.bounded:
+            _draw_bounds(axis, comparison, bandwidth)
         axis.set_yscale("log")
         if in_si(task):
             plain_ticks(axis.yaxis)
@@ -136,6 +141,9 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
         axis.set_xlabel(speed_label(task))
     for axis in axes if narrow else axes[:1]:
         axis.set_ylabel(f"cost: {weighted(task)}" if in_si(task) else "cost: weighted mean square\nover $E\\,Z^2$")
+    if comparison.bounded:  # a bound may be far below all that was driven
+        least, bound = min(row.cost for row in comparison.rows), axes[0].get_ylim()[0]
+        axes[0].set_ylim(bottom=max(bound, least / FARTHEST))
     figure.legend(  # beside the panels, so that it covers nothing
         *axes[0].get_legend_handles_labels(),
         loc="outside lower center",
@@ -146,6 +154,21 @@ def draw_cost_over_speed(comparison: Comparison, path: Path, *, narrow: bool = F
     )
     save_figure(figure, path)
     return path
+
+
+def _draw_bounds(axis: Any, comparison: Comparison, bandwidth: float) -> None:
+    """The lower bound, and a band from it to the best known feedback."""
+    found = sorted(
+        (abscissa(comparison.task, point.speed), bound.cost, comparison.row(reference, point).cost if reference else bound.cost)
+        for point, bound, reference in zip(comparison.points, comparison.bounds, comparison.references, strict=True)
+        if point.bandwidth == bandwidth and isinstance(bound, LowerBound)
+    )
+    if found:
+        across, low, high = np.array(found).T
+        axis.fill_between(across, low, high, color="#999999", alpha=0.25, linewidth=0)
+        axis.plot(
+            across, low, color="#555555", linewidth=1.0, linestyle=":", marker="_", label="lower bound of all controllers"
+        )
 
 
 def draw_root_mean_squares(comparison: Comparison, path: Path, *, narrow: bool = False) -> Path:

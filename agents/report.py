@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import inspect
-import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,36 +14,18 @@ import numpy as np
 from roadgym.installation import needs
 
 from .agent import Agent
+from .certified import bound_cell, bound_notes, mean_share_certified
 from .controllers import CONTROLLERS
 from .evaluation import Predictor
 from .features import has_lookahead
 from .names import CONTROLLERS_SHOWN, title
-from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row, Share
+from .numerals import above, aligned, as_exact_as, percent, with_error
+from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row
 from .units import KILOMETRES_PER_HOUR, column, in_si, place, root, shown, unit
 from .units import weighted as weighted
 
 TEMPLATE = Path(__file__).with_name("report.html")
 WIDTH = 80  # columns of the table of text
-NUMBER = re.compile(r"-?\d")
-
-
-def percent(share: Share | None) -> str:
-    """A share in per cent with half its confidence interval, or n/a; no number where it is a loss of more than all."""
-    if share is None:
-        return "n/a"
-    if share.value < -1:
-        return "< -100 %"
-    # adding 0 makes 0.0 of -0.0
-    return f"{round(100 * share.value, 1) + 0:.1f} ±{50 * (share.high - share.low):.1f} %"
-
-
-def above(share: Share) -> str:
-    """What a cost is to one that it is compared with, from the share that it is above: in per cent, or as a multiple."""
-    if share.value > 1:
-        return f"{1 + share.value:.3g} times"
-    if share.value >= 0:
-        return f"{percent(share)} above"
-    return f"{percent(Share(-share.value, -share.high, -share.low))} below"
 
 
 def notes(comparison: Comparison) -> list[tuple[str, str]]:
@@ -80,6 +61,7 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
         )
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
+    found += bound_notes(comparison)
     if task.sensors is not None and "optimal_feedback" in comparison.controllers:
         found.append((title("optimal_feedback"), "full knowledge: it sees the state itself; all others see through sensors."))
     if not task.valve.ideal:
@@ -134,19 +116,14 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
             closed = any(comparison.references)
             share = [percent(row.gap_closed if closed else row.gain) for row in rows]
             under.append(("gap closed" if closed else "gain", share))
+        if name in comparison.mean_certified and comparison.bounded:
+            under.append(("certified", [percent(row.certified) for row in rows]))
         found.append((title(name), under))
+    if comparison.bounded:
+        optima = (comparison.row("analytic_optimum", point) for point in points)
+        cells = [bound_cell(bound, row) for bound, row in zip(comparison.bounds, optima, strict=True)]
+        found.insert(1 + sum(name in first for name in comparison.controllers), ("lower bound", [("cost", cells)]))
     return found
-
-
-def aligned(cells: Sequence[str]) -> list[str]:
-    """The cells in one width, numbers with their decimal points under each other, other text at the right."""
-    parts = [cell.partition(".") if NUMBER.match(cell) else ("", "", "") for cell in cells]
-    left, right = (max(len(part) for part in side) for side in ([p[0] for p in parts], [p[1] + p[2] for p in parts]))
-    width = max(left + right, *map(len, cells))
-    return [
-        (part[0].rjust(left) + (part[1] + part[2]).ljust(right) if part[0] else cell).rjust(width)
-        for cell, part in zip(cells, parts, strict=True)
-    ]
 
 
 def theory_given(agent: Predictor) -> str | None:
@@ -201,6 +178,13 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
     return text
 
 
+def means(comparison: Comparison) -> list[str]:
+    """What the comparison comes to, in sentences."""
+    certified = [mean_share_certified(comparison, name) for name in comparison.mean_certified]
+    gaps = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
+    return [*gaps, *(sentence for sentence in certified if sentence is not None)]
+
+
 def table(comparison: Comparison) -> str:
     """The comparison as text of `WIDTH` columns: tables one under the other, a line an operating point, and what they show."""
     where, *rest = (_laid_out(name, columns) for name, columns in blocks(comparison))
@@ -218,8 +202,10 @@ def table(comparison: Comparison) -> str:
         text += [*lines, ""]
     if in_si(comparison.task):
         text += [*_roots(comparison), ""]
-    said = [mean_gap_closed(comparison, name) for name in comparison.mean_gaps]
-    shares = () if comparison.agents else ("gap closed", "gain")  # columns that are on the page alone
+    said = means(comparison)
+    shares = [] if comparison.agents else ["gap closed", "gain"]  # columns that are on the page alone
+    if comparison.bounded and not comparison.mean_certified:
+        shares.append("certified")
     said += [f"{term}: {sentence}" for term, sentence in notes(comparison) if term not in shares]
     return "\n".join(text + [textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said])
 
@@ -255,25 +241,9 @@ def _laid_out(name: str, columns: Sequence[tuple[str, Sequence[str]]]) -> list[s
     return [*(place(line, width) for line in head), *(line.rjust(width) for line in [under, *body])]
 
 
-def with_error(value: float, error: float) -> str:
-    """``value`` with the standard error of its last digits in brackets: 0.2561(12) is 0.2561 ± 0.0012."""
-    if not np.isfinite(error) or error <= 0:
-        return f"{value:.4f}"
-    digits = _decimals(value, error)
-    return f"{value:.{digits}f}({round(error * 10**digits)})"
-
-
-def _decimals(value: float, error: float) -> int:
-    """Decimals that show two digits of a standard error, but no more than six digits of the value."""
-    if not (np.isfinite(error) and error > 0):
-        return 4
-    most = 6 + max(0, -int(np.floor(np.log10(abs(value)))) - 1) if value else 6
-    return min(max(1 - int(np.floor(np.log10(error))), 0), most)
-
-
 def _theory(row: Row) -> str:
     """The exact cost, with no fewer decimals than the cost as driven has; nothing where there is none."""
-    return "" if row.theory is None else f"{row.theory:.{max(4, _decimals(row.cost, row.standard_error))}f}"
+    return "" if row.theory is None else as_exact_as(row.theory, row.cost, row.standard_error)
 
 
 def _tables(comparison: Comparison) -> list[dict[str, Any]]:
@@ -287,6 +257,11 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
         costs["gap closed"] = [percent(row.gap_closed) for row in rows]
     else:
         costs["gain"] = [percent(row.gain) for row in rows]
+    if comparison.bounded:
+        costs["certified"] = [percent(row.certified) for row in rows]
+        optima = [comparison.row("analytic_optimum", point) for point in comparison.points]
+        bounds = [bound_cell(bound, row) for bound, row in zip(comparison.bounds, optima, strict=True)]
+        costs = {head: cells + (bounds if head == "cost" else [""] * len(bounds)) for head, cells in costs.items()}
     squares = {"switches": [f"{row.switches:.2f}" for row in rows]}
     for name in rows[0].squares:
         head, values = name.replace("_", " "), [row.squares[name] for row in rows]
@@ -311,6 +286,10 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
                 for number, row in enumerate(rows)
                 if row.point == point
             ]
+            # after those of the rows come the cells of the lower bounds, if there are any
+            for number in range(len(rows), len(cells)):
+                if comparison.points[number - len(rows)] == point:
+                    lines.append({"name": "lower bound", "learned": False, "cells": cells[number]})
             groups.append({"heading": heading, "rows": lines})
         found.append({"heads": list(columns), "groups": groups})
     return found
@@ -361,7 +340,7 @@ def make_report(comparison: Comparison, pictures: Sequence[Picture]) -> str:
         cost=weighted(task),
         in_si=in_si(task),
         displacement_alone=list(task.reward_by_name.items()) == [("displacement", 1.0)],
-        means=[mean_gap_closed(comparison, name) for name in comparison.mean_gaps],
+        means=means(comparison),
         controllers=_controllers(comparison),
         points=len(comparison.points),
         episodes=comparison.configuration["episodes"],

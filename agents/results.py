@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
+from analysis import LowerBound
 from analysis.response import needs_simulation
 from roadgym.task import Task
 
@@ -51,6 +52,9 @@ class Row:
         gain: share of the cost of the best constant damping that is saved.
         gap_closed: share of the way from the best constant damping to the best known feedback; None where that feedback saves
             less than `LEAST_ROOM`.
+        bound: what every controller costs at least there; None where no lower bound is known, or none was asked for.
+        certified: share of the way from the best constant damping to the lower bound; None where there is none, or where it
+            leaves less than `LEAST_ROOM`.
         switches: damping switches a second.
         squares: the mean squares by name, over the task's `cost_unit`: over E Z^2, or in SI units.
     """
@@ -65,6 +69,8 @@ class Row:
     damping: float | None
     gain: Share
     gap_closed: Share | None
+    bound: LowerBound | None
+    certified: Share | None
     switches: float
     squares: dict[str, float]
 
@@ -90,6 +96,21 @@ class MeanGap:
 
 
 @dataclasses.dataclass(frozen=True)
+class MeanCertified:
+    """The certified share of a controller, averaged over all operating points that have one.
+
+    Attributes:
+        share: the mean; None where no point has one.
+        points: those that it is over.
+        left_out: the points without a lower bound, or where that leaves less than `LEAST_ROOM`.
+    """
+
+    share: Share | None
+    points: tuple[OperatingPoint, ...]
+    left_out: tuple[OperatingPoint, ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class Comparison:
     """All rows, and what made them.
 
@@ -100,6 +121,8 @@ class Comparison:
         references: the best known feedback at each operating point, by name; None where no feedback was driven.
         configuration: environment, evaluation, agents and versions, as JSON knows them.
         mean_gaps: of each learned controller, where a feedback was driven.
+        bounds: the lower bound at each operating point, or in a few words why there is none; empty where none was asked for.
+        mean_certified: of each learned controller and of the optimal feedback, where there are bounds.
     """
 
     rows: tuple[Row, ...]
@@ -108,6 +131,8 @@ class Comparison:
     references: tuple[str | None, ...]
     configuration: dict[str, Any]
     mean_gaps: Mapping[str, MeanGap] = dataclasses.field(default_factory=dict)
+    bounds: tuple[LowerBound | str, ...] = ()
+    mean_certified: Mapping[str, MeanCertified] = dataclasses.field(default_factory=dict)
 
     def row(self, controller: str, point: OperatingPoint) -> Row:
         """The row of a controller at a point."""
@@ -119,6 +144,11 @@ class Comparison:
         return tuple(dict.fromkeys(row.controller for row in self.rows))
 
     @property
+    def bounded(self) -> bool:
+        """Is there a lower bound at any operating point?"""
+        return any(isinstance(bound, LowerBound) for bound in self.bounds)
+
+    @property
     def points(self) -> tuple[OperatingPoint, ...]:
         """The operating points, in order."""
         return tuple(dict.fromkeys(row.point for row in self.rows))
@@ -128,6 +158,11 @@ class Comparison:
         content = {
             "rows": [flat(row) for row in self.rows],
             "mean_gap_closed": {name: dataclasses.asdict(gap) for name, gap in self.mean_gaps.items()},
+            "lower_bounds": [
+                dataclasses.asdict(point) | ({"reason": bound} if isinstance(bound, str) else dataclasses.asdict(bound))
+                for point, bound in zip(self.points, self.bounds, strict=bool(self.bounds))
+            ],
+            "mean_certified": {name: dataclasses.asdict(mean) for name, mean in self.mean_certified.items()},
             **self.configuration,
         }
         return json.dumps(content, indent=2, allow_nan=False) + "\n"
@@ -156,7 +191,9 @@ def flat(row: Row) -> dict[str, Any]:
     content: dict[str, Any] = {"controller": row.controller, **dataclasses.asdict(row.point)}
     for name in ("cost", "standard_error", "driven_cost", "driven_standard_error", "theory", "damping"):
         content[name] = getattr(row, name)
-    for name in ("gain", "gap_closed"):
+    content["lower_bound"] = None if row.bound is None else row.bound.cost
+    content["lower_bound_standard_error"] = None if row.bound is None else row.bound.standard_error
+    for name in ("gain", "gap_closed", "certified"):
         share = getattr(row, name)
         for part, label in (("value", name), ("low", f"{name}_low"), ("high", f"{name}_high")):
             content[label] = None if share is None else getattr(share, part)
@@ -178,7 +215,10 @@ def constant_damping(task: Task, controller: str, point: OperatingPoint) -> floa
 
 
 def ratio(
-    numerators: npt.NDArray[np.float64], denominators: npt.NDArray[np.float64], degrees_of_freedom: int | None = None
+    numerators: npt.NDArray[np.float64],
+    denominators: npt.NDArray[np.float64],
+    degrees_of_freedom: int | None = None,
+    errors: npt.NDArray[np.float64] | None = None,
 ) -> Share:
     """Mean over operating points of ratios of means, with its interval; all training seeds drive over the same noise.
 
@@ -192,13 +232,17 @@ def ratio(
         numerators: shape (points, seeds, episodes).
         denominators: shape (points, episodes).
         degrees_of_freedom: of a mean over episodes, at one point; the episodes less one by default.
+        errors: standard errors that the denominators have beside those of the episodes, shape (points,).
     """
     points, seeds, episodes = numerators.shape
     scale = denominators.mean(axis=-1)
     values = numerators.mean(axis=(1, 2)) / scale
     residuals = (numerators.mean(axis=1) - values[:, None] * denominators) / scale[:, None]
     freedom = episodes - 1 if degrees_of_freedom is None else degrees_of_freedom
-    error = math.sqrt((residuals.var(axis=-1, ddof=1) / episodes).sum()) / points
+    variances = residuals.var(axis=-1, ddof=1) / episodes
+    if errors is not None:
+        variances = variances + (values * errors / scale) ** 2
+    error = math.sqrt(variances.sum()) / points
     half = student.ppf((1 + CONFIDENCE) / 2, freedom) * error
     if seeds > 1:
         spread = (numerators.mean(axis=-1) / scale[:, None]).mean(axis=0).std(ddof=1)
@@ -245,6 +289,42 @@ def mean_gap(seeds: Sequence[Evaluation], evaluations: Mapping[str, Evaluation],
     )
 
 
+def room(best: npt.NDArray[np.float64], bound: LowerBound | str) -> npt.NDArray[np.float64] | None:
+    """What can be saved at most of the best constant damping's costs, shape (episodes,); None if less than `LEAST_ROOM`."""
+    if isinstance(bound, str):
+        return None
+    left = best - bound.cost
+    return left if left.mean() > LEAST_ROOM * best.mean() else None
+
+
+def mean_certified(
+    seeds: Sequence[Evaluation], evaluations: Mapping[str, Evaluation], bounds: Sequence[LowerBound | str]
+) -> MeanCertified:
+    """(best constant - cost)/(best constant - lower bound) of a controller, averaged over the points that have a bound.
+
+    It is the share that is reached, at least, of what any controller could save.
+
+    Args:
+        seeds: evaluations of its training seeds.
+        evaluations: those of the rivals, the analytic optimum among them.
+        bounds: the lower bound at each operating point, or why there is none.
+    """
+    best, points = evaluations["analytic_optimum"].adjusted_costs, seeds[0].points
+    rooms = {k: (room(best[k], bound), bound) for k, bound in enumerate(bounds)}
+    within = [k for k, (left, _) in rooms.items() if left is not None]
+    saved = best[:, None] - np.stack([evaluation.adjusted_costs for evaluation in seeds], axis=1)
+    share = None
+    if within:
+        errors = [bound.standard_error for k in within if isinstance(bound := rooms[k][1], LowerBound)]
+        lefts = np.array([rooms[k][0] for k in within])
+        share = ratio(saved[within], lefts, seeds[0].degrees_of_freedom, np.array(errors))
+    return MeanCertified(
+        share=share,
+        points=tuple(points[k] for k in within),
+        left_out=tuple(points[k] for k in rooms if k not in within),
+    )
+
+
 def error_over_seeds(costs: npt.NDArray[np.float64]) -> float:
     """Standard error of the mean of costs, shape (seeds, episodes), over both."""
     variance = costs.mean(axis=0).var(ddof=1) / costs.shape[1]
@@ -254,7 +334,10 @@ def error_over_seeds(costs: npt.NDArray[np.float64]) -> float:
 
 
 def make_rows(
-    task: Task, learned: Mapping[str, Sequence[Evaluation]], evaluations: Mapping[str, Evaluation]
+    task: Task,
+    learned: Mapping[str, Sequence[Evaluation]],
+    evaluations: Mapping[str, Evaluation],
+    bounds: Sequence[LowerBound | str] = (),
 ) -> tuple[tuple[Row, ...], tuple[str | None, ...]]:
     """Rows with theory, gains and gaps, and the best known feedbacks, from what was driven.
 
@@ -262,6 +345,7 @@ def make_rows(
         task: the task.
         learned: evaluations of each learned controller, one for each training seed.
         evaluations: those of the rivals, the analytic optimum among them.
+        bounds: the lower bound at each operating point, or why there is none; empty where none was asked for.
     """
     rows = []
     closed = not needs_simulation(task.road, task.speed_noise, task.car)  # a theory that is itself simulated proves nothing
@@ -275,7 +359,9 @@ def make_rows(
             driven_costs = np.stack([evaluation.costs[k] for evaluation in seeds])
             damping = constant_damping(task, name, point)
             squares = np.mean([evaluation.mean_squares[:, k] for evaluation in seeds], axis=0)
-            saved, room = (best[k] - costs)[None], rooms[k]
+            saved, gap = (best[k] - costs)[None], rooms[k]
+            bound = bounds[k] if bounds else ""
+            left = room(best[k], bound)
             rows.append(
                 Row(
                     controller=name,
@@ -289,7 +375,11 @@ def make_rows(
                     else None,
                     damping=damping,
                     gain=ratio(saved, best[k][None], freedom),
-                    gap_closed=None if room is None else ratio(saved, room[None], freedom),
+                    gap_closed=None if gap is None else ratio(saved, gap[None], freedom),
+                    bound=None if isinstance(bound, str) else bound,
+                    certified=None
+                    if left is None or isinstance(bound, str)
+                    else ratio(saved, left[None], freedom, np.array([bound.standard_error])),
                     switches=float(np.mean([evaluation.switches[k] for evaluation in seeds])),
                     squares=dict(zip(seeds[0].names, squares.tolist(), strict=True)),
                 )

@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from .bounds import LowerBound, lower_bound
 from .certificate import Certificate
 from .certification import certify
 from .comfort import comfort_reaction, frequency_weighting
@@ -34,6 +35,7 @@ __all__ = [
     "Estimate",
     "Feedback",
     "Identified",
+    "LowerBound",
     "MeanSquares",
     "MomentSystem",
     "OptimalFeedback",
@@ -56,6 +58,7 @@ __all__ = [
     "frequency_weighting",
     "identify",
     "international_roughness_index",
+    "lower_bound",
     "lyapunov_exponents",
     "marginal_density",
     "mean_amplitude",

@@ -1,7 +1,7 @@
 """Random calls of `analysis`, for `test_fuzz`: each yields what it is about to give."""
 
 import numpy as np
-from fuzz_values import TASK, a_noise, a_number, a_range, a_road, a_seed, an_array, chosen, finite, junk
+from fuzz_values import TASK, a_noise, a_number, a_range, a_road, a_seed, an_array, chosen, finite, junk, quick_task
 
 import analysis
 import roadgym
@@ -45,6 +45,20 @@ def call_optimal_damping(rng):
     best = analysis.optimal_damping(road, noise, **parameters)
     finite(best.damping)
     finite(best.cost)
+
+
+def call_lower_bound(rng):
+    plant = {name: TASK[name] for name in ("speed", "bandwidth", "damping_range", "reward", "control_interval")}
+    parameters = chosen(rng, plant, {"road": a_road(rng), "speed_noise": a_noise(rng), "speed": 1.0})
+    yield parameters
+    task = quick_task(parameters)
+    generators = {"speed": a_number, "bandwidth": a_number, "seed": a_seed, "threads": a_number}
+    arguments = chosen(rng, {**generators, "method": junk, "task": junk}, {"task": task, "method": "matrix_inequality"})
+    yield {**parameters, **arguments}
+    if task is not None:
+        bound = analysis.lower_bound(**arguments)
+        finite(bound.cost)
+        assert bound.cost >= 0
 
 
 def call_covariance(rng):

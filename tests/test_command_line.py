@@ -196,6 +196,7 @@ def test_progress_is_told_in_python_too(tmp_path, capsys):
     point = {"speeds": [1.5], "bandwidths": [0.1], "controllers": ["skyhook"], "episodes": 16}
     agents.compare(agent, environment=agent.description["environment"], **point)
     said = capsys.readouterr().err.splitlines()
+    assert said.pop() == "lower bounds: 100 of 100"
     assert said[-1].startswith(f"driving {len(said)} of {len(said)}: skyhook: ")
     assert any("best constant D" in line for line in said)
     agents.train(tmp_path / "b", hyperparameters=hyperparameters, report=silent)

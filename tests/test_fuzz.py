@@ -21,6 +21,7 @@ from fuzz_theory import (
     call_explorer,
     call_feedback_arguments,
     call_figures,
+    call_lower_bound,
     call_mean_squares,
     call_optimal_damping,
     call_rotating_frame,
@@ -286,7 +287,7 @@ CALLED = (
     *(call_env, call_env, call_env, call_vector, call_vector, call_mean_squares, call_mean_squares, call_optimal_damping),
     *(call_covariance, call_density, call_spectrum, call_rotating_frame, call_stability, call_simulation),
     *(call_feedback_arguments, call_explorer, call_figures, call_autocovariance, call_controller, call_vec_env, call_actions),
-    *(call_certify_arguments, call_own_road, call_agents),
+    *(call_certify_arguments, call_own_road, call_agents, call_lower_bound),
 )
 
 

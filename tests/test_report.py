@@ -11,7 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from agents import figures
 from agents.comparison import Share, above, compare, percent, table, write
 from agents.controllers import CONTROLLERS, make_controller
-from agents.report import WIDTH, aligned
+from agents.numerals import aligned
+from agents.report import WIDTH
 from roadgym.task import make_task
 
 ENVIRONMENT = {"road": "multiplicative", "speed": (0.7, 3.0), "bandwidth": (0.1, 0.3)}
@@ -74,11 +75,34 @@ def test_page_says_first_what_was_found_then_how_then_numbers(comparison, tmp_pa
     ]
     places = [page.index(words) for words in order]
     assert places == sorted(places)
-    for term in ("ν", "δ", "D", "cost", "theory", "gap closed", "switches"):
+    for term in ("ν", "δ", "D", "cost", "theory", "gap closed", "lower bound", "certified", "switches"):
         assert f"<dt>{term}</dt>" in page
     for name in ("skyhook", "best constant D", "one-step lookahead"):  # one name, in the list and in both tables
         assert f"<dt>{name}</dt>" in page
         assert len(re.findall(rf"<td>{name}( = [\d.]+)?</td>", page)) == 2 * len(comparison.points)
+
+
+def test_page_and_picture_have_the_lower_bound(comparison, tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path: drawn.update({path.stem: figure}))
+    figures.draw_cost_over_speed(comparison, tmp_path / "costs.png")
+    for axis, bandwidth in zip(drawn["costs"].axes, (0.1, 0.3), strict=True):
+        (line,) = (line for line in axis.get_lines() if line.get_label() == "lower bound of all controllers")
+        known = [
+            bound.cost
+            for point, bound in zip(comparison.points, comparison.bounds, strict=True)
+            if point.bandwidth == bandwidth
+        ]
+        assert line.get_ydata().tolist() == known
+        lowest = axis.get_ylim()[0]
+        assert lowest > 0
+        assert lowest < min(row.cost for row in comparison.rows)
+    monkeypatch.undo()
+    write(comparison, tmp_path)
+    page = (tmp_path / "comparison.html").read_text()
+    shown = re.findall(r'<td>lower bound</td><td class="number"> *([\d.]+) *</td>', page)
+    assert [float(cell) for cell in shown] == pytest.approx([bound.cost for bound in comparison.bounds], abs=1e-4)
+    assert page.index("Certified: agent saves at least") < page.index("<table")
 
 
 def test_legends_cover_no_marks(comparison, tmp_path, monkeypatch):
@@ -121,8 +145,8 @@ def test_table_reads_in_a_terminal_of_80_columns():
     heads = [line for line in lines if line.lstrip().startswith("nu ")]
     assert len(heads) > 1
     labels = {label for head in heads for label in re.split(r"  +", head.strip())}
-    assert labels == {"nu", "delta", "cost", "gap closed", "D", "theory"}
-    for label in (*labels, "runs/a"):  # each is explained, and nothing else is
+    assert labels == {"nu", "delta", "cost", "gap closed", "certified", "D", "theory"}
+    for label in (*labels, "runs/a", "lower bound"):  # each is explained, and nothing else is
         assert any(line.startswith(f"{label}: ") for line in lines)
     assert "gain" not in text
 
@@ -143,7 +167,16 @@ def test_losses_beyond_all_that_is_at_stake_are_no_number():
 def test_table_without_agents_and_bandwidth_explains_what_is_there():
     found = compare(None, environment={"road": "harmonic", "speed": (0.7, 3.0)}, speeds=[1.0, 1.5], episodes=16)
     lines = table(found).splitlines()
-    assert [line.split()[0] for line in lines[1:5]] == ["nu", lines[2], "1", "1.5"]
-    assert lines[1].startswith(" nu ")
+    head = next(number for number, line in enumerate(lines) if line.startswith(" nu "))
+    assert [line.split()[0] for line in lines[head : head + 4]] == ["nu", lines[head + 1], "1", "1.5"]
     explained = {line.partition(":")[0] for line in lines if re.match(r"[a-zA-Z][a-zA-Z ]*: ", line)}
-    assert explained == {"nu", "D", "cost", "theory", "less noise"}
+    assert explained == {"nu", "D", "cost", "theory", "lower bound", "less noise"}
+
+
+def test_where_no_bound_is_known_the_table_says_why():
+    noisy = {"road": "harmonic", "speed_noise": "white", "speed": (0.7, 3.0)}
+    text = " ".join(table(compare(None, environment=noisy, speeds=[1.0], episodes=16)).split())
+    assert "certified: n/a here for lack of a lower bound: white noise on the speed." in text
+    assert "lower bound:" not in text.replace("a lower bound:", "")
+    silent = compare(None, environment=noisy, speeds=[1.0], episodes=16, bound="none")
+    assert "certified" not in table(silent)

@@ -1,6 +1,8 @@
 """Gains, gaps and their confidence intervals, from costs that are made up."""
 
+import csv
 import dataclasses
+import io
 import json
 import re
 
@@ -9,7 +11,8 @@ import pytest
 
 from agents.evaluation import Evaluation, OperatingPoint
 from agents.report import mean_gap_closed, table
-from agents.results import Comparison, make_rows, mean_gap, ratio
+from agents.results import Comparison, make_rows, mean_certified, mean_gap, ratio
+from analysis.bounds import PROVED, STATISTICAL, LowerBound
 from roadgym.task import make_task
 
 TASK = make_task(road="multiplicative", speed=(0.7, 3.0), bandwidth=(0.1, 0.3))
@@ -43,6 +46,51 @@ def test_gap_closed_is_the_share_of_the_way_to_the_optimal_feedback():
     assert [row.gap_closed for row in rows] == [None] * 3
     text = table(Comparison(rows, TASK, {"agent": [None]}, references, {}))
     assert "n/a" in text
+
+
+def bounded(cost, standard_error=0.0):
+    rigour = STATISTICAL if standard_error else PROVED
+    return LowerBound(cost=cost, method="matrix_inequality", assumption="any", rigour=rigour, standard_error=standard_error)
+
+
+def test_certified_share_is_the_share_of_the_way_to_the_lower_bound():
+    rivals = {"analytic_optimum": driven(1.0)[0], "optimal_feedback": driven(0.2)[0]}
+    rows, _ = make_rows(TASK, {"agent": driven(0.4)}, rivals, [bounded(0.1)])
+    assert [row.certified.value for row in rows] == pytest.approx([0.6 / 0.9, 0.0, 0.8 / 0.9], rel=0.02)
+    assert all(row.certified.value < row.gap_closed.value for row in rows if row.controller == "agent")
+    for nothing in ("no reason", bounded(0.99)):  # there is none, or nothing to save
+        rows, _ = make_rows(TASK, {"agent": driven(0.4)}, rivals, [nothing])
+        assert [row.certified for row in rows] == [None] * 3
+    mean = mean_certified(driven(0.4), rivals, ["no reason"])
+    assert mean.share is None
+    assert len(mean.left_out) == 1
+
+
+def test_interval_of_the_certified_share_holds_the_error_of_the_bound():
+    best, agent = evaluation(np.ones((2, 32))), evaluation(np.full((2, 32), 0.4))
+    bounds = [bounded(0.1, 0.009), bounded(0.2, 0.0)]
+    (row, *_), _ = make_rows(TASK, {"agent": [agent]}, {"analytic_optimum": best}, bounds)
+    student = 2.0395  # 31 degrees of freedom
+    assert row.certified.high - row.certified.value == pytest.approx(student * 0.6 / 0.9 * 0.01, rel=1e-3)
+    mean = mean_certified([agent], {"analytic_optimum": best}, bounds)
+    assert mean.share.value == pytest.approx((0.6 / 0.9 + 0.6 / 0.8) / 2)
+    assert mean.share.high - mean.share.value == pytest.approx(student * 0.6 / 0.9 * 0.01 / 2, rel=1e-3)
+
+
+def test_bounds_are_in_json_and_csv_and_what_is_missing_has_its_reason():
+    rivals = {"analytic_optimum": evaluation(np.ones((2, 32)))}
+    bounds = (bounded(0.1, 0.01), "a road of soap")
+    rows, references = make_rows(TASK, {}, rivals, bounds)
+    found = Comparison(rows, TASK, {}, references, {}, {}, bounds, {})
+    first, second = json.loads(found.to_json())["lower_bounds"]
+    assert (first["cost"], first["standard_error"], first["rigour"]) == (0.1, 0.01, STATISTICAL)
+    assert second == {"speed": 2.0, "bandwidth": 0.1, "reason": "a road of soap"}
+    lines = list(csv.DictReader(io.StringIO(found.to_csv())))
+    assert [line["lower_bound"] for line in lines] == ["0.1", ""]
+    text = table(found)
+    assert re.search(r"1  +0\.1 .* 0\.100\(10\)", text)
+    assert "2 of 2" not in text
+    assert "n/a where there is none: a road of soap." in " ".join(text.split())
 
 
 def test_mean_gap_counts_every_point_that_has_one_and_tells_of_the_others():

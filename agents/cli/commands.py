@@ -200,6 +200,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
     from roadgym.vector import QuarterCarVectorEnv
 
     from ..agent import load
+    from ..certified import check_bound
     from ..comparison import AGENT, compare, group_agents, table, write
     from ..progress import Stopwatch, work_progress
     from ..records import LOCK, locked, make_folder
@@ -222,6 +223,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)
+    check_bound(chosen.bound)
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
     if seeds:
@@ -243,7 +245,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
         with work_progress() as report:
 
             def tell(what: str, done: int, total: int) -> None:
-                watch.note("driving" if what.startswith("driving") else "optimal feedback")
+                watch.note(next((part for part in ("driving", "lower bounds") if what.startswith(part)), "optimal feedback"))
                 report(what, done, total)
 
             comparison = compare(
@@ -252,6 +254,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
                 episodes=chosen.episodes,
                 seed=chosen.seed,
                 controllers=chosen.controllers,
+                bound=chosen.bound,
                 report=tell,
                 **_grid(chosen, environment),
             )

@@ -106,6 +106,13 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
     )
+    compare.add_argument(
+        "--bound",
+        default="fast",
+        metavar="BOUND",
+        help="lower bounds of all controllers to hold the costs against: fast, tight (minutes a point), none, or one method, "
+        "such as matrix_inequality (%(default)s)",
+    )
     add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
     add_environment(compare)
@@ -165,7 +172,8 @@ def make_parser() -> argparse.ArgumentParser:
         commands,
         "certify",
         run_certify,
-        "drive a plant and compare its law, spectrum and response with the exact ones; exit code 1 if any line fails",
+        "drive a plant and compare its law, spectrum and response with the exact ones; exit code 1 if any line fails. With "
+        "--optimal: how far from the optimum it can be driven, from both sides",
         "roadgym certify --road gaussian --speed 1.5",
     )
     certify.add_argument(
@@ -180,12 +188,25 @@ def make_parser() -> argparse.ArgumentParser:
         "--speed", type=float, metavar="V", help="speed, m/s (1; of two masses 20; with --agent the middle of its range)"
     )
     certify.add_argument("--damping", type=float, default=0.3, metavar="D", help="damping ratio (%(default)s)")
+    certify.add_argument(
+        "--optimal",
+        action="store_true",
+        help="the best constant damping, the best feedback and all lower bounds, with the share that is certified; exit code 1 "
+        "if a bound exceeds a driven cost",
+    )
+    certify.add_argument("--bandwidth", type=float, metavar="DELTA", help="with --optimal: of the road (the road's own)")
+    for name in ("damping_range", "reward"):
+        option, how = ENVIRONMENT[name]
+        certify.add_argument(option, dest=f"environment_{name}", **{**how, "help": f"with --optimal: {how['help']}"})
+    certify.add_argument(
+        "--methods", nargs="+", metavar="NAME", help="with --optimal: lower bounds to find, such as matrix_inequality (all)"
+    )
     certify.add_argument("--car", **ENVIRONMENT["car"][1])
     certify.add_argument("--natural-frequency", **ENVIRONMENT["natural_frequency"][1])
     who = certify.add_mutually_exclusive_group()
     who.add_argument("--agent", type=nonempty, metavar="DIR", help="certify under a trained agent's rule too, on its plant")
     who.add_argument("--controller", metavar="NAME", help=f"certify under a controller's rule too: {CLASSICAL}")
-    certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s)")
+    certify.add_argument("--lanes", type=int, default=16384, help="independent cars (%(default)s; with --optimal 1024)")
     certify.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
     certify.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
@@ -283,7 +304,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands,
         "cache",
         run_cache,
-        "tell where compiled code and optimal feedbacks are kept, and how much",
+        "tell where compiled code, optimal feedbacks and lower bounds are kept, and how much",
         "roadgym cache --clear",
     )
     cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")

@@ -16,6 +16,8 @@ from roadgym.installation import require
 
 from .options import refuse
 
+OPTIMAL = ("bandwidth", "environment_damping_range", "environment_reward", "methods")  # options that go with --optimal
+
 
 def run_certify(chosen: argparse.Namespace) -> int:
     """``roadgym certify``."""
@@ -29,6 +31,9 @@ def run_certify(chosen: argparse.Namespace) -> int:
         plant["road"] = usual.get("road", "multiplicative")
     if chosen.speed is None and not chosen.agent:
         chosen.speed = float(np.mean(usual.get("speed", 1.0)))
+    if chosen.optimal:
+        return _certify_optimal(chosen, plant)
+    refuse(chosen, OPTIMAL, "without --optimal, which alone they matter for")
     driver = None
     if chosen.agent or chosen.controller:
         driver, plant = _driver(chosen, plant)
@@ -44,6 +49,41 @@ def run_certify(chosen: argparse.Namespace) -> int:
         )
     print(certificate.to_json() if chosen.json else certificate.table())
     return 0 if certificate.passed else 1
+
+
+def _certify_optimal(chosen: argparse.Namespace, plant: dict[str, Any]) -> int:
+    """``roadgym certify --optimal``."""
+    from roadgym.task import make_task
+
+    from ..agent import load
+    from ..comparison import observed_in_full
+    from ..optimality import certify_optimality
+    from ..progress import work_progress
+
+    refuse(chosen, ["damping"], "with --optimal, which finds the best one")
+    if chosen.agent:
+        refuse(chosen, [*plant, *OPTIMAL[1:3]], "with --agent: the agent's environment holds")
+        agent = load(chosen.agent)
+        environment = agent.description["environment"]
+    else:
+        agent = None
+        given = {"reward": chosen.environment_reward, "damping_range": chosen.environment_damping_range, "speed": chosen.speed}
+        environment = {**plant, **given, "bandwidth": chosen.bandwidth}
+    task = make_task(**observed_in_full(environment))
+    with work_progress() as report:
+        found = certify_optimality(
+            agent,
+            environment=environment,
+            speed=sum(task.speed) / 2 if chosen.speed is None else chosen.speed,
+            bandwidth=sum(task.bandwidth) / 2 if chosen.bandwidth is None else chosen.bandwidth,
+            controllers=[chosen.controller] if chosen.controller else [],
+            methods=chosen.methods,
+            episodes=chosen.lanes if "lanes" in chosen.given else 1024,
+            seed=chosen.seed,
+            report=report,
+        )
+    print(found.to_json() if chosen.json else found.table())
+    return 0 if found.passed else 1
 
 
 def _driver(chosen: argparse.Namespace, plant: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -140,6 +180,7 @@ def run_errata(chosen: argparse.Namespace) -> None:
 
 def run_cache(chosen: argparse.Namespace) -> None:
     """``roadgym cache``."""
+    from analysis.bounds import kept_files as kept_bounds
     from analysis.feedback import kept_files
     from roadgym import cache
 
@@ -148,6 +189,7 @@ def run_cache(chosen: argparse.Namespace) -> None:
     places = (
         ("compiled code", cache.compiled_folder(), cache.compiled_files),
         ("optimal feedbacks", cache_folder(), lambda: kept_files(cache_folder())),
+        ("lower bounds", cache_folder(), lambda: kept_bounds(cache_folder())),
     )
     print(f"{'':17}  {'files':>6}  {'MB':>8}  folder")
     for what, folder, find in places:
@@ -155,6 +197,6 @@ def run_cache(chosen: argparse.Namespace) -> None:
         print(f"{what:17}  {len(sizes):6}  {sum(sizes) / 1e6:8.2f}  {folder or 'nowhere: there is no home folder'}")
     if chosen.clear:
         cache.clear_compiled()
-        for path in kept_files(cache_folder()):
+        for path in [*kept_files(cache_folder()), *kept_bounds(cache_folder())]:
             path.unlink(missing_ok=True)
         print("cleared")

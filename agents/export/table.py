@@ -24,8 +24,8 @@ from roadgym.vector import QuarterCarVectorEnv
 
 from ..agent import Agent
 from ..evaluation import Evaluation, drive, evaluate
+from ..numerals import with_error
 from ..records import Purpose, stream_seed
-from ..report import with_error
 from ..results import Share, ratio
 from ..theory import optimum
 from .c_files import rates_in_metres

@@ -7,6 +7,7 @@ import dataclasses
 PROVED = "proved"
 SOLVED = "proved up to the solver's residual, which is charged"
 STATISTICAL = "statistical"
+RIGOURS = (PROVED, SOLVED, STATISTICAL)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -26,3 +27,8 @@ class LowerBound:
     assumption: str
     rigour: str
     standard_error: float = 0.0
+
+    @property
+    def safe(self) -> float:
+        """The cost less two standard errors."""
+        return self.cost - 2 * self.standard_error
