@@ -29,12 +29,14 @@ from roadgym import files
 from roadgym.component import import_modules
 from roadgym.files import whole_file
 from roadgym.installation import InstallationError, needs, require
+from roadgym.kalman import KalmanFilter
 from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 from .actions import damping_from_action
 from .errors import AgentError
+from .estimation import updated
 from .features import Sight
 from .records import plain
 from .wrappers import ActionLayer, blamed, learning, wrap
@@ -100,7 +102,9 @@ class Agent:
         self.description = description
         self.task = task
         hyperparameters = description["hyperparameters"]
-        self.sight = Sight(task, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
+        self.filter = None if hyperparameters.get("estimator") is None else KalmanFilter(task)
+        self.seen = task if self.filter is None else self.filter.full
+        self.sight = Sight(self.seen, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
         self.damping_levels = hyperparameters.get("damping_levels")
         self.layers: list[ActionLayer] = []
         if hyperparameters.get("wrappers"):
@@ -117,18 +121,23 @@ class Agent:
     ) -> tuple[npt.NDArray[np.float32], Any]:
         """(D, state), D of shape (n, 1) for observations of shape (n, signals), or (1,) for one of shape (signals,).
 
-        The state is what the agent remembers: the observations that it stacks and the state of a recurrent network; None for
-        an agent that does neither. Hand it back with the next observations; rows where ``episode_start`` is true forget.
+        The state is what the agent remembers: the observations that it stacks, the state of a recurrent network and what a
+        Kalman filter knows; None for an agent that has none of them. Hand it back with the next observations; rows where
+        ``episode_start`` is true forget.
         """
-        rows = np.atleast_2d(observation)
-        frames, memory = (None, None) if state is None else state
+        rows, belief = np.atleast_2d(observation), None
+        frames, memory, filtered = (None, None, None) if state is None else state
+        if self.filter is not None:
+            belief = updated(self.filter, filtered, rows, episode_start)
+            rows = self.filter.observation(belief)
         frames = self.sight.stack(frames, rows, episode_start)
         action, memory = self.model.predict(self.sight(rows, frames), memory, episode_start, deterministic)
         for layer in self.layers:
             with blamed(type(layer).__name__):
                 action = layer.actions(action)
         damping = damping_from_action(action, self.task.damping_range, self.damping_levels)
-        remembered = None if frames is None and memory is None else (frames, memory)
+        filtered = None if belief is None else (belief, damping.reshape(-1, 1))
+        remembered = None if frames is None and memory is None and filtered is None else (frames, memory, filtered)
         return damping.reshape((*observation.shape[:-1], 1)), remembered
 
 

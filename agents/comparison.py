@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from roadgym.parameters import ParameterError
-from roadgym.task import Task, make_task
+from roadgym.task import OPERATING_POINT, Task, make_task
 
 from .agent import Agent
 from .certified import check_bound, lower_bounds
 from .controllers import CONTROLLERS, Controller, OptimalFeedback, make_controller, tune_controller
+from .estimation import Estimated, check_estimator
 from .evaluation import Predictor, evaluate, evaluated_task
-from .names import name_folders, title
+from .names import FILTERED, name_folders, title
 from .numerals import above, percent, with_error
 from .progress import work_progress
 from .records import lasting, make_folder, plain, versions, write_atomically
@@ -133,22 +134,34 @@ def group_agents(agents: Mapping[str, Agent]) -> tuple[dict[str, list[Agent]], d
     return {name: [agents[folder] for folder in group] for name, group in zip(names, groups, strict=True)}, plants[0]
 
 
-def make_rivals(task: Task, names: Sequence[str] | None) -> dict[str, Controller]:
+def make_rivals(
+    task: Task, names: Sequence[str] | None, estimator: str | None = None, measured: Task | None = None
+) -> dict[str, Controller | Estimated]:
     """The rivals by name, the analytic optimum first; their parameters are tuned on the task.
 
-    By default they are those of `RIVALS` that this task allows, of `WHEEL_RIVALS` where the car has a wheel of its own.
+    By default they are those of `RIVALS` that this task allows, of `WHEEL_RIVALS` where the car has a wheel of its own. With an
+    estimator those that take signals of the motion drive by what it makes of the ``measured`` task, and are named so; the
+    optimal feedback drives by the state as well.
 
     Raises:
         ParameterError: an unknown controller, or one that needs what the task has not.
     """
-    rivals = {"analytic_optimum": make_controller("analytic_optimum", task)}
+    check_estimator(estimator)
+    rivals: dict[str, Controller | Estimated] = {"analytic_optimum": make_controller("analytic_optimum", task)}
     usual = WHEEL_RIVALS if "wheel_velocity" in task.car.mean_squares else RIVALS
     for name in usual if names is None else names:
         try:
-            rivals[name] = tune_controller(name, task)
+            rival = tune_controller(name, task)
         except ParameterError:
             if names is not None:
                 raise
+            continue
+        if estimator is None or set(rival.needs) <= set(OPERATING_POINT):
+            rivals[name] = rival
+        else:
+            if isinstance(rival, OptimalFeedback):
+                rivals[name] = rival
+            rivals[name + FILTERED] = Estimated(rival, task if measured is None else measured)
     return rivals
 
 
@@ -162,6 +175,7 @@ def compare(
     episodes: int = 256,
     seed: int = 0,
     bound: str = "fast",
+    estimator: str | None = None,
     report: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
     """Drive learned agents, classical controllers and the optimal feedback over the same roads.
@@ -170,13 +184,15 @@ def compare(
         agents: one agent, anything with ``predict`` that answers with D; or by name the agents of several training seeds;
             None to compare the classical controllers alone.
         environment: parameters of the environment, with ranges that hold the operating points. Every controller is handed the
-            signals that it needs, whatever the environment observes.
+            signals that it needs, whatever the environment observes, through its sensors if it has some; but the optimal
+            feedback the truth.
         speeds, bandwidths: the grid of operating points, m/s and 1.
         controllers: names of the rivals; the analytic optimum is always among them. By default those of `RIVALS`, or of
             `WHEEL_RIVALS`, that the plant allows. Those that have a parameter are tuned on the plant.
         episodes, seed: as for `agents.evaluate`.
         bound: which lower bounds to hold the costs against: "fast", "tight" or a method's name, as of `analysis.lower_bound`;
             or "none".
+        estimator: "kalman" to have the rivals drive by the mean of a Kalman filter of what the environment observes.
         report: called as ``report(what, done, in all)``; by default progress is told on the error stream.
 
     Raises:
@@ -186,7 +202,8 @@ def compare(
     check_bound(bound)
     plant = observed_in_full(environment)
     task = make_task(**plant)
-    rivals = make_rivals(make_task(**plant), controllers)  # what evaluations tell beside is not theirs to know
+    # what evaluations tell beside is not theirs to know
+    rivals = make_rivals(make_task(**plant), controllers, estimator, None if estimator is None else make_task(**environment))
     drivers: dict[str, Predictor] = {}
     for name, seeds in named.items():
         if name in rivals or not seeds:
@@ -194,8 +211,9 @@ def compare(
         drivers.update({f"{name}, seed {k + 1} of {len(seeds)}": agent for k, agent in enumerate(seeds)})
     with work_progress() if report is None else contextlib.nullcontext(report) as tell:
         for rival in rivals.values():
-            if isinstance(rival, OptimalFeedback):
-                rival.report = tell
+            for rule in (rival, getattr(rival, "controller", None)):
+                if isinstance(rule, OptimalFeedback):
+                    rule.report = tell
         evaluations = evaluate(
             {**drivers, **rivals},
             environment=plant,
@@ -205,16 +223,17 @@ def compare(
             seed=seed,
             report=tell,
         )
-        task = evaluated_task(plant)
         bounds = lower_bounds(task, evaluations["analytic_optimum"].points, bound, tell)
     driven = iter([evaluations.pop(name) for name in drivers])
     learned = {name: [next(driven) for _ in seeds] for name, seeds in named.items()}
+    task = evaluated_task(plant)
     rows, references = make_rows(task, learned, evaluations, bounds)
     mean_gaps = {name: mean_gap(seeds, evaluations, references) for name, seeds in learned.items()} if any(references) else {}
     optimal = {name: [evaluations[name]] for name in evaluations if name == "optimal_feedback"}
     certified = {name: mean_certified(seeds, evaluations, bounds) for name, seeds in {**learned, **optimal}.items() if bounds}
     configuration = {
         "environment": lasting(plant),
+        **({} if estimator is None else {"estimator": estimator, "measured": list(make_task(**environment).signals)}),
         "episodes": episodes,
         "seed": seed,
         "confidence": CONFIDENCE,

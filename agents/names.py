@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 LONGEST = 40  # letters
+FILTERED = ", filtered"  # after the name of a controller that takes the mean of a filter for the state
 CONTROLLERS_SHOWN = {  # by the name in `agents.CONTROLLERS`: the name that is shown, and what it does
     "agent": ("agent", "learned: sets D from what it observes"),
     "analytic_optimum": ("best constant D", "a passive suspension, the constant D that costs least by theory at this point"),
@@ -43,7 +44,8 @@ CONTROLLERS_SHOWN = {  # by the name in `agents.CONTROLLERS`: the name that is s
 
 def title(controller: str) -> str:
     """The name of a controller that is shown, its own where it has no other."""
-    return CONTROLLERS_SHOWN[controller][0] if controller in CONTROLLERS_SHOWN else controller
+    own = controller.removesuffix(FILTERED)
+    return CONTROLLERS_SHOWN[own][0] + controller[len(own) :] if own in CONTROLLERS_SHOWN else controller
 
 
 def printable(text: str) -> str:

@@ -18,7 +18,7 @@ from roadgym.task import make_task
 from .certified import NONE, bound_cell, lower_bounds
 from .comparison import compare, observed_in_full
 from .controllers import make_controller
-from .evaluation import Predictor, evaluated_task, make_points
+from .evaluation import Predictor, make_points
 from .names import title
 from .numerals import aligned, percent, with_error
 from .results import Comparison, Row, flat
@@ -137,13 +137,13 @@ def certify_optimality(
     for name in methods:
         if name not in METHODS:
             raise ParameterError(f"methods must be of {', '.join(METHODS)}, got {shown(name)}")
-    task = evaluated_task(observed_in_full(environment))
+    task = make_task(**observed_in_full(environment))
     points = make_points(task, [speed], [bandwidth])
     bounds = {name: lower_bounds(task, points, name, report)[0] for name in methods}
     known = {name: bound for name, bound in bounds.items() if isinstance(bound, LowerBound)}
     names = list(controllers)
     with contextlib.suppress(ParameterError):  # where it is not known
-        make_controller("optimal_feedback", make_task(**observed_in_full(environment)))
+        make_controller("optimal_feedback", task)
         names.append("optimal_feedback")
     comparison = compare(
         agent,

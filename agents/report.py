@@ -18,7 +18,7 @@ from .certified import bound_cell, bound_notes, mean_share_certified
 from .controllers import CONTROLLERS
 from .evaluation import Predictor
 from .features import has_lookahead
-from .names import CONTROLLERS_SHOWN, title
+from .names import CONTROLLERS_SHOWN, FILTERED, title
 from .numerals import above, aligned, as_exact_as, percent, with_error
 from .results import CONFIDENCE, LEAST_ROOM, Comparison, Picture, Row
 from .units import KILOMETRES_PER_HOUR, column, in_si, place, root, shown, unit
@@ -64,6 +64,9 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
     found += bound_notes(comparison)
     if task.sensors is not None and "optimal_feedback" in comparison.controllers:
         found.append((title("optimal_feedback"), "full knowledge: it sees the state itself; all others see through sensors."))
+    if measured := comparison.configuration.get("measured"):
+        what = f"drives by the mean of a Kalman filter, to which sensors tell {', '.join(measured)}."
+        found.append((FILTERED.removeprefix(", "), what))
     if not task.valve.ideal:
         theory = "the best constant D, theory and the optimal feedback are those of an ideal valve; driven, all have this one."
         found.append(("valve", theory))
@@ -112,7 +115,7 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
             if rows[0].theory is not None:
                 under.insert(0, ("theory", [_theory(row) for row in rows]))
             under.insert(0, ("D", [f"{row.damping:.3f}" for row in rows]))
-        if name in comparison.agents:
+        if name in comparison.agents or name.endswith(FILTERED):
             closed = any(comparison.references)
             share = [percent(row.gap_closed if closed else row.gain) for row in rows]
             under.append(("gap closed" if closed else "gain", share))
@@ -138,10 +141,11 @@ def theory_given(agent: Predictor) -> str | None:
     if reward is None:  # of an agent that was trained before this was noted
         return None
     hyperparameters = agent.description["hyperparameters"]
-    lookahead = has_lookahead(agent.task, hyperparameters.get("features", ()))
+    lookahead = has_lookahead(agent.seen, hyperparameters.get("features", ()))
     if hyperparameters.get("wrappers"):
         reward += f", as changed by {' and '.join(hyperparameters['wrappers'])}"
-    return f"learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
+    sees = "" if agent.filter is None else f"drives by a Kalman filter of {', '.join(agent.filter.measured)}; "
+    return f"{sees}learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
 
 
 def adjusted_by(control_variates: Sequence[float], balances: Sequence[str] = ()) -> str:

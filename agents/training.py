@@ -112,6 +112,7 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "policy_kwargs",
     "noise_std",
     "training_reward",
+    "estimator",
     "wrappers",
 )
 LARGEST_SEED = 2**32 - 1  # of torch and NumPy, which stable-baselines3 seeds
@@ -205,6 +206,7 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
         frame_stack=hyperparameters.get("frame_stack", 1),
         damping_levels=hyperparameters.get("damping_levels"),
         training_reward=hyperparameters.get("training_reward", "cost"),
+        estimator=hyperparameters.get("estimator"),
         wrappers=hyperparameters.get("wrappers", ()),
     )
     options = dict(hyperparameters.get("normalize", {}))

@@ -16,14 +16,16 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from roadgym import ENVIRONMENT_ID
 from roadgym.env import QuarterCarEnv, check_options
 from roadgym.installation import needs
+from roadgym.kalman import HYPOTHESES
 from roadgym.moved import moved
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
+from roadgym.wrappers import KalmanObservation
 
 from .actions import damping_from_action as damping_from_action
 from .features import Sight as Sight
-from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, wrap
+from .wrappers import AdvantageReward, DampingAction, FeatureObservation, learning, task_of, wrap
 
 with needs("train"):
     from stable_baselines3.common.monitor import Monitor
@@ -47,6 +49,8 @@ def _described(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
                 found |= layer.arguments
             case AdvantageReward():
                 found["training_reward"] = "advantage"
+            case KalmanObservation() if layer.arguments == {"deviations": False, "hypotheses": HYPOTHESES}:
+                found["estimator"] = "kalman"
             case TimeLimit():
                 found["max_episode_steps"] = layer._max_episode_steps
             case Monitor(results_writer=None, info_keywords=()) | OrderEnforcing() | PassiveEnvChecker():
@@ -92,7 +96,7 @@ class QuarterCarVecEnv(VecEnv):
         num_envs: number of environments.
         max_episode_steps: steps in an episode; None for no limit.
         environment: parameters of `roadgym.vector.QuarterCarVectorEnv`.
-        features, frame_stack, damping_levels, training_reward: see `agents.wrappers.learning`.
+        features, frame_stack, damping_levels, training_reward, estimator: see `agents.wrappers.learning`.
         wrappers: Gymnasium's or one's own around all this, each a "module:name"; see `agents.wrappers.wrap`. Where the cost is
             paid, the return "r" is that of their reward.
         render_mode: "rgb_array" for pictures, as stable-baselines3's ``VecVideoRecorder`` takes them. What they show is
@@ -109,6 +113,7 @@ class QuarterCarVecEnv(VecEnv):
         frame_stack: int = 1,
         damping_levels: int | None = None,
         training_reward: str = "cost",
+        estimator: str | None = None,
         wrappers: Sequence[str] = (),
         render_mode: str | None = None,
     ) -> None:
@@ -126,7 +131,6 @@ class QuarterCarVecEnv(VecEnv):
             **(environment or {}),
         )
         self.envs.render_mode = None  # until somebody asks for a picture, see `get_images`
-        self.task = self.envs.task
         self.render_mode = render_mode
         learned = learning(
             self.envs,
@@ -134,10 +138,12 @@ class QuarterCarVecEnv(VecEnv):
             frame_stack=frame_stack,
             damping_levels=damping_levels,
             training_reward=training_reward,
+            estimator=estimator,
         )
+        self.task = task_of(learned)
         self._batch, _ = wrap(learned, wrappers)
-        self._sight = Sight(self.task, features, frame_stack)
-        self._wrappers = tuple(wrappers)
+        self._seen = features, frame_stack
+        self._beside = (*wrappers, *(() if estimator is None else (estimator,)))
         super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self.metadata |= {"render_fps": self.envs.metadata["render_fps"]}
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
@@ -191,13 +197,15 @@ class QuarterCarVecEnv(VecEnv):
         """What records ``steps`` control intervals for a gradient through the plant, of `road_and_car` before each.
 
         Raises:
-            ParameterError: a stack of observations, or wrappers, which could pay for something else than the cost.
+            ParameterError: a stack of observations, an estimator, or wrappers, which could pay for another thing than the cost.
         """
         from .differentiable import DrivenRoads
 
-        if self._wrappers:
-            raise ParameterError(f"wrappers must be none for a gradient through the plant, got {', '.join(self._wrappers)}")
-        return DrivenRoads(self.task, self._sight, self.num_envs, steps)
+        if self._beside:
+            raise ParameterError(
+                f"wrappers and estimator must be none for a gradient through the plant, got {', '.join(map(str, self._beside))}"
+            )
+        return DrivenRoads(self.task, Sight(self.task, *self._seen), self.num_envs, steps)
 
     def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """The states of `roadgym.vector.QuarterCarVectorEnv.state`, and the rate of the road's angle over w1 now."""

@@ -34,32 +34,20 @@ from roadgym import PlantError
 from roadgym.component import import_modules
 from roadgym.parameters import ParameterError, shown, single_precision, whole
 from roadgym.task import Task
+from roadgym.wrappers import Batch, Environment, EpisodeWrapper, KalmanObservation, Layer, VectorKalmanObservation
+from roadgym.wrappers import task_of as task_of
 
 from .actions import action_space, damping_from_action
 from .advantage import has_advantage
 from .advantage_reward import SavedCost
+from .estimation import check_estimator
 from .features import FEATURES, Rows, Sight
 from .records import texts
 
-Environment = gymnasium.Env[Any, Any]
-Batch = VectorEnv[Any, Any, Any]
 if TYPE_CHECKING:  # Gymnasium 1.1's cannot be subscripted
     ActionLayer = VectorActionWrapper[Any, Any, Any, Any]
-    Layer = VectorWrapper[Any, Any, Any, Any, Any]
 else:
-    ActionLayer, Layer = VectorActionWrapper, VectorWrapper
-
-
-def task_of(env: Environment | Batch) -> Task:
-    """The task of a `roadgym` environment or batch under any wrappers.
-
-    Raises:
-        ParameterError: it is another one's.
-    """
-    task = getattr(env.unwrapped, "task", None)
-    if not isinstance(task, Task):
-        raise ParameterError(f"env must be a roadgym environment, got {shown(env)}")
-    return task
+    ActionLayer = VectorActionWrapper
 
 
 def training_reward(chosen: Any, task: Task) -> str:
@@ -81,6 +69,7 @@ def learning(
     frame_stack: int = ...,
     damping_levels: int | None = ...,
     training_reward: str = ...,
+    estimator: str | None = ...,
 ) -> Environment: ...
 
 
@@ -92,6 +81,7 @@ def learning(
     frame_stack: int = ...,
     damping_levels: int | None = ...,
     training_reward: str = ...,
+    estimator: str | None = ...,
 ) -> Batch: ...
 
 
@@ -102,6 +92,7 @@ def learning(
     frame_stack: int = 1,
     damping_levels: int | None = None,
     training_reward: str = "advantage",
+    estimator: str | None = None,
 ) -> Environment | Batch:
     """A `roadgym` environment, or a batch of them, as it learns well.
 
@@ -110,15 +101,19 @@ def learning(
         features, frame_stack: what the policy sees; see `agents.features.Sight`.
         damping_levels: number of damping ratios to choose from, at equal distances over the range; by default all of it.
         training_reward: "advantage", where theory knows it, or "cost".
+        estimator: "kalman" to see the mean of the state given what is measured (`roadgym.wrappers`); None for the observation.
 
     Raises:
         ParameterError: one of these that is out of range.
     """
+    check_estimator(estimator)
     paid = _paid(training_reward, task_of(env))
     if isinstance(env, VectorEnv):
         batch = VectorAdvantageReward(env) if paid == "advantage" else env
+        batch = batch if estimator is None else VectorKalmanObservation(batch)
         return VectorDampingAction(VectorFeatureObservation(batch, features, frame_stack), damping_levels)
     single = AdvantageReward(env) if paid == "advantage" else env
+    single = single if estimator is None else KalmanObservation(single)
     return DampingAction(FeatureObservation(single, features, frame_stack), damping_levels)
 
 
@@ -334,29 +329,7 @@ class AdvantageReward(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         self._saved.look(plant.state()[None])
 
 
-class _VectorWrapper(Layer):
-    """A wrapper that knows which environments begin an episode; its autoreset mode is an attribute, as TorchRL reads it."""
-
-    def __init__(self, env: Batch) -> None:
-        super().__init__(env)
-        self.autoreset_mode: AutoresetMode = env.metadata["autoreset_mode"]
-        self._ended = np.zeros(env.num_envs, np.bool_)
-
-    def _begun(self, ended: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Whose observation after this step is the first of an episode, from who ended one in it; once a step."""
-        before, self._ended = self._ended, ended
-        if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            return ended
-        return before if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
-
-    def _start(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_] | None:
-        """Who is reset with these options; None for everyone."""
-        mask = (options or {}).get("reset_mask")
-        self._ended = np.zeros_like(self._ended) if mask is None else self._ended & ~mask
-        return None if mask is None or np.all(mask) else mask
-
-
-class VectorDampingAction(_VectorWrapper):
+class VectorDampingAction(EpisodeWrapper):
     """`DampingAction` of a batch: actions of shape (num_envs, 1), or (num_envs,) where they are levels."""
 
     def __init__(self, env: Batch, levels: int | None = None) -> None:
@@ -372,7 +345,7 @@ class VectorDampingAction(_VectorWrapper):
         return self.env.step(damping_from_action(actions, self._range, self.levels))
 
 
-class VectorFeatureObservation(_VectorWrapper):
+class VectorFeatureObservation(EpisodeWrapper):
     """`FeatureObservation` of a batch."""
 
     def __init__(self, env: Batch, features: Sequence[str] | None = None, frame_stack: int = 1) -> None:
@@ -406,7 +379,7 @@ class VectorFeatureObservation(_VectorWrapper):
         return self.sight(observations, self._frames), rewards, terminated, truncated, info
 
 
-class VectorAdvantageReward(_VectorWrapper):
+class VectorAdvantageReward(EpisodeWrapper):
     """`AdvantageReward` of a batch."""
 
     def __init__(self, env: Batch) -> None:

@@ -100,7 +100,8 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "max_episode_steps": Range(1, 2**31 - 1, "steps in an episode"),
         "threads": Range(1, 1024, "threads"),
         "seed": Range(0, 2**64 - 1, "seed"),
-        # controllers
+        # filters and controllers
+        "hypotheses": Range(1, 50, "speeds, and bandwidths, among which a bank of Kalman filters weighs"),
         "mixing": Range(0.0, 1.0, "share of one rule, or of one value, in a mixture of two; 1"),
         # theory and simulation
         "array size": Range(0, 10_000_000, "entries of an array, and of the common shape of several"),

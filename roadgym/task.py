@@ -161,6 +161,17 @@ def _observable(car: Car, road: Road, speed_noise: SpeedNoise | None, bandwidth:
     return names
 
 
+def _states(car: Car, observable: Sequence[str]) -> list[str]:
+    """The states of car and road that can be observed, which is what is observed by default."""
+    return [name for name in (*car.motion.states, "level", "slope") if name in observable]
+
+
+def observed_states(task: Task) -> tuple[str, ...]:
+    """What a task observes where nothing else is asked for: the states of car and road, and the operating point."""
+    observable = _observable(task.car, task.road, task.speed_noise, task.bandwidth)
+    return (*_states(task.car, observable), *(name for name in OPERATING_POINT if name in observable))
+
+
 def check_component(component: Road | SpeedNoise | Car, what: str) -> None:
     """Check what a component, which may be somebody's own, says of itself: its lane functions, their rows and words.
 
@@ -317,7 +328,7 @@ def make_task(
 
     observable = _observable(the_car, the_road, noise, bandwidths)
     if observation is None:
-        observation = [name for name in (*the_car.motion.states, "level", "slope") if name in observable]
+        observation = _states(the_car, observable)
     if isinstance(observation, str) or not isinstance(observation, Sequence):
         raise ParameterError(f"observation must be a sequence of signal names, got {shown(observation)}")
     names = list(observation)

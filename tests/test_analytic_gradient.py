@@ -211,7 +211,7 @@ def test_episodes_that_end_within_what_is_driven_are_not_differentiated_through(
         ({"damping_levels": 3}, "hyperparameters of apg: The algorithm only supports"),
         (
             {"wrappers": ["gymnasium.wrappers.vector:RecordEpisodeStatistics"]},
-            "wrappers must be none for a gradient through the plant",
+            "wrappers and estimator must be none for a gradient through the plant",
         ),
     ],
 )

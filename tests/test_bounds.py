@@ -232,6 +232,9 @@ def test_where_there_is_no_bound_the_reason_is_told_without_raising_or_with():
     with pytest.raises(ParameterError, match=r"there is no lower bound for this task: .*white noise on the speed"):
         analysis.lower_bound(task)
     assert refusal(make_task(road="gaussian", speed=1.0)) is None
+    slow = make_task(road="gaussian", speed=1.0, valve={"rise_time": 0.1})
+    assert refusal(slow) is None  # the damping may move at any time
+    assert "an ideal valve" in refusal(slow, "information_relaxation")
 
 
 def test_bounds_that_take_time_are_kept_and_damaged_files_are_none(tmp_path, monkeypatch):

@@ -100,6 +100,20 @@ def test_measured_road(tmp_path):
     assert 0 <= float(re.search(r"loses (\S+) %", carried).group(1)) < 30
 
 
+def test_one_accelerometer(tmp_path):
+    size = ("--rule", "mixed_lookahead", "--noises", "0.05", "--episodes", "16", "--duration", "20")
+    output = run("one_accelerometer.py", *size, "--sensors", "all", "acceleration", folder=tmp_path)
+    at, _, *rows = output.splitlines()
+    best, known = (float(text) for text in re.search(r"constant damping (\S+), mixed_lookahead (\S+)", at).groups())
+    shares = []
+    for row in rows:
+        cost, share, error = (float(text) for text in re.search(r"0\.05: (\S+) \((\S+) ± (\S+) %\)$", row).groups())
+        assert share == pytest.approx(100 * (best - cost) / (best - known), abs=0.1)
+        assert 0 < error < 10
+        shares.append(share)
+    assert 60 < shares[1] < shares[0] < 105
+
+
 def test_a_rule_made_for_one_road_sees_another_in_its_terms():
     """On a road that is scaled, and named in other units, the same drive: heights, speeds and slopes are what they are."""
     plain = roadgym.GaussianRoad(bandwidth=0.3, noise_intensity=0.02)

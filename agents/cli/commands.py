@@ -38,6 +38,7 @@ def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, 
 
 def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
     """Find fault with the evaluation before any long work."""
+    from roadgym.kalman import KalmanFilter
     from roadgym.parameters import whole
     from roadgym.task import make_task
 
@@ -50,18 +51,27 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     if task.bandwidth[1] == 0:
         refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
     make_points(task, **points)
+    if getattr(chosen, "estimator", None):
+        KalmanFilter(make_task(**environment))
     for name in getattr(chosen, "controllers", None) or ():
         make_controller(name, task)
     whole("episodes", chosen.episodes, low=FEWEST_EPISODES)
     whole("seed", chosen.seed, low=0)
 
 
-def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
-    """Those of the file, with the wrappers of the command line."""
+def _loaded(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Hyperparameters of the file, with the estimator of the command line."""
     from ..hyperparameters import load_hyperparameters
+
+    estimator = getattr(chosen, "estimator", None)
+    return load_hyperparameters(chosen.algorithm, chosen.hyperparameters) | ({"estimator": estimator} if estimator else {})
+
+
+def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
+    """The same, with the wrappers of the command line."""
     from ..wrappers import with_wrappers
 
-    return with_wrappers(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), chosen.wrapper)
+    return with_wrappers(_loaded(chosen), chosen.wrapper)
 
 
 def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]) -> None:
@@ -71,12 +81,12 @@ def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]
     from ..training import usual_algorithm
 
     if chosen.algorithm is None:
-        chosen.algorithm = usual_algorithm(make_task(**environment), chosen.hyperparameters is not None, chosen.wrapper)
+        other = chosen.hyperparameters is not None or getattr(chosen, "estimator", None) is not None
+        chosen.algorithm = usual_algorithm(make_task(**environment), other, chosen.wrapper)
 
 
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
     """Train an agent, or go on with it: then what is given must be what it was trained with."""
-    from ..hyperparameters import load_hyperparameters
     from ..training import train
 
     def given(value: Any, name: str) -> Any:
@@ -86,7 +96,7 @@ def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any]
         folder,
         algorithm=given(chosen.algorithm, "algorithm"),
         environment=environment,
-        hyperparameters=given(load_hyperparameters(chosen.algorithm, chosen.hyperparameters), "hyperparameters"),
+        hyperparameters=given(_loaded(chosen), "hyperparameters"),
         wrappers=chosen.wrapper,
         seed=given(seed, "seed"),
         timesteps=chosen.timesteps,
@@ -103,6 +113,7 @@ def run_train(chosen: argparse.Namespace) -> None:
 
     folder = Path(chosen.output)
     if chosen.resume:
+        refuse(chosen, ["estimator"], "with --resume: the agent's own holds")
         known = read_description(folder)["environment"]
         environment = {**known, **given_environment(chosen)}
     else:
@@ -154,11 +165,15 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         controller: Predictor = agent
         environment, name = agent.description["environment"], chosen.agent
         refuse_environment(chosen)
+        refuse(chosen, ["estimator"], "with --agent: the agent's own holds")
     else:
         environment = environment_from(chosen)
-        refuse_observation(chosen)
         name = chosen.controller
-        controller = make_controller(name, make_task(**observed_in_full(environment)))
+        if chosen.estimator:
+            controller = make_controller(name, make_task(**environment), estimator=chosen.estimator)
+        else:
+            refuse_observation(chosen)
+            controller = make_controller(name, make_task(**observed_in_full(environment)))
     _check_evaluation(chosen, environment)
     with work_progress() as report:
         result = evaluate(
@@ -216,6 +231,8 @@ def run_compare(chosen: argparse.Namespace) -> None:
         loaded = {folder: load(folder) for folder in chosen.agent}
         _refuse_training(chosen, {folder: agent.description for folder, agent in loaded.items()})
         learned, environment = group_agents(loaded)
+        if chosen.estimator:  # of what the first one observes
+            environment = next(iter(loaded.values())).description["environment"]
         kinds = [_kind(agent.description) for agent in loaded.values()]
     else:
         learned, environment = {AGENT: []}, environment_from(chosen)
@@ -255,6 +272,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
                 seed=chosen.seed,
                 controllers=chosen.controllers,
                 bound=chosen.bound,
+                estimator=chosen.estimator,
                 report=tell,
                 **_grid(chosen, environment),
             )

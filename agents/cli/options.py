@@ -10,6 +10,8 @@ from typing import Any
 from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, Sensors, TwoMassCar, Valve
 from roadgym.task import signals
 
+from ..estimation import ESTIMATORS
+
 
 def nonempty(text: str) -> str:
     """A path, of an argument that is not empty."""
@@ -120,7 +122,7 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
     group.add_argument(
         "--algorithm",
         help="apg, ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent "
-        "(apg; ppo with --hyperparameters, --wrapper, --sensors or --valve, and to tune)",
+        "(apg; ppo with --hyperparameters, --wrapper, --sensors, --valve or --estimator, and to tune)",
     )
     group.add_argument(
         "--hyperparameters",
@@ -162,6 +164,15 @@ def add_evaluation(parser: argparse.ArgumentParser, *, seed: bool = False) -> No
     group.add_argument("--episodes", type=int, default=256, help="episodes at each operating point (%(default)s)")
     if seed:
         group.add_argument("--seed", type=int, default=0, help="seed of the roads (%(default)s)")
+
+
+def add_estimator(parser: argparse.ArgumentParser, who: str) -> None:
+    """The option of an estimator; ``who`` drives by it."""
+    parser.add_argument(
+        "--estimator",
+        choices=ESTIMATORS,
+        help=f"{who} by the mean of a Kalman filter of what is observed (--observation, --sensors)",
+    )
 
 
 def add_environment(parser: argparse.ArgumentParser) -> None:

@@ -18,6 +18,7 @@ from .options import (
     ROAD_KINDS,
     ROAD_NAMES,
     add_environment,
+    add_estimator,
     add_evaluation,
     add_training,
     component,
@@ -47,6 +48,7 @@ def make_parser() -> argparse.ArgumentParser:
     train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
     train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
     add_training(train, seed_of="training")
+    add_estimator(train, "the agent sees and drives")
     add_environment(train)
 
     tune = _command(
@@ -73,6 +75,7 @@ def make_parser() -> argparse.ArgumentParser:
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     add_evaluation(evaluate, seed=True)
+    add_estimator(evaluate, "the controller drives")
     add_environment(evaluate)
 
     compare = _command(
@@ -115,6 +118,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
+    add_estimator(compare, "agents and classical controllers drive")
     add_environment(compare)
 
     drive = _command(

@@ -12,10 +12,13 @@ name, and `tune_controller` finds it.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import overload
 
+from roadgym.kalman import KalmanFilter
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import Task
 
+from ..estimation import Estimated, check_estimator
 from ..theory import optimum as optimum
 from ..theory import road_at as road_at
 from ..theory import theoretical_cost as theoretical_cost
@@ -71,17 +74,31 @@ def _known(name: str) -> Callable[..., Controller]:
     return CONTROLLERS[name]
 
 
-def make_controller(name: str, task: Task, **parameters: float) -> Controller:
+@overload
+def make_controller(name: str, task: Task, *, estimator: None = ..., **parameters: float) -> Controller: ...
+
+
+@overload
+def make_controller(name: str, task: Task, *, estimator: str, **parameters: float) -> Estimated: ...
+
+
+def make_controller(name: str, task: Task, *, estimator: str | None = None, **parameters: float) -> Controller | Estimated:
     """A controller by its name in `CONTROLLERS`.
 
     Args:
         name: the name.
         task: the task.
+        estimator: "kalman" for the controller on the mean of a Kalman filter, `agents.estimation.Estimated`, of what the task
+            observes.
         parameters: those of the controller that are not to be its own defaults, by name.
 
     Raises:
         ParameterError: an unknown name or parameter, or signals that the task does not observe.
     """
+    check_estimator(estimator)
+    if estimator is not None:
+        full = KalmanFilter(task).full
+        return Estimated(make_controller(name, full, estimator=None, **parameters), task)
     make = _known(name)
     known = getattr(make, "tried", {})
     for parameter in parameters:

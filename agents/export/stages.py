@@ -267,6 +267,8 @@ def stages_of(agent: Agent) -> list[Stage]:
         raise AgentError(f"cannot export an agent of {algorithm!r}: known are {', '.join(ACTORS)}")
     if agent.layers:
         raise AgentError("cannot export an agent whose wrapper changes actions: it is Python of its own")
+    if agent.filter is not None:
+        raise AgentError("cannot export an agent that sees by a Kalman filter: the filter is not written, and it needs that")
     modules = ACTORS[algorithm](agent.model.policy)
     return [functools.partial(see, agent.sight), *map(module_stage, modules), functools.partial(answer, agent)]
 

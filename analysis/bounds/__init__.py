@@ -16,7 +16,7 @@ from roadgym.installation import InstallationError
 from roadgym.parameters import ParameterError, shown, whole, within
 from roadgym.task import Task
 
-from . import matrix_inequality, sums_of_squares
+from . import information_relaxation, matrix_inequality, sums_of_squares
 from .bound import PROVED, RIGOURS, SOLVED, STATISTICAL, LowerBound
 from .kept import described, kept_files, kept_path, load, save
 from .matrix_inequality import MatrixCertificate
@@ -60,7 +60,17 @@ class Method:
 
 METHODS: dict[str, Method] = {
     "matrix_inequality": Method(title="a matrix inequality", refusal=matrix_inequality.refusal, bound=matrix_inequality.bound),
-    "sums_of_squares": Method(title="sums of squares", refusal=sums_of_squares.refusal, bound=sums_of_squares.bound),
+    "sums_of_squares": Method(
+        title="sums of squares", refusal=sums_of_squares.refusal, bound=sums_of_squares.bound, revision=1
+    ),
+    "information_relaxation": Method(
+        title="information relaxation",
+        refusal=information_relaxation.refusal,
+        bound=information_relaxation.bound,
+        quick=False,
+        settings=("seed", "threads", "cache"),
+        revision=1,
+    ),
 }
 PRESETS: Mapping[str, Callable[[Method], bool]] = MappingProxyType(
     {"fast": lambda method: method.quick, "tight": lambda method: True}
@@ -110,7 +120,8 @@ def lower_bound(
 ) -> LowerBound:
     """What every controller costs at least, whatever it sees, remembers or computes, at an operating point of ``task``.
 
-    Its damping must stay in the range of the task; it may be lagged, delayed, or chosen from noisy sensors.
+    Its damping must stay in the range of the task, and may be late, or chosen from noisy sensors. Whether it must be held over
+    the control intervals, as behind a valve that lags it is not, `LowerBound.assumption` tells.
 
     Args:
         task: plant, weights, range of D and control interval, of `roadgym.task.make_task`.

@@ -34,6 +34,7 @@ def described(task: Task, speed: float, bandwidth: float, **more: Any) -> str | 
         "signals": {name: dict(motion.signals[name].terms) for name in (*task.weights_by_name, motion.relative)},
         "weights": task.weights_by_name,
         "damping_range": task.damping_range,
+        "valve": dataclasses.asdict(task.valve),
         "interval": task.control_interval * task.car.natural_frequency,
         "ratio": task.frequency_ratio(speed),
         "bandwidth": bandwidth,

@@ -182,6 +182,14 @@ def solve(
     model: Model, shape: npt.NDArray[np.int64], box: FloatArray, share: Share, told: Callable[[float], None]
 ) -> tuple[SingleArray, float, int]:
     """Relative value iteration: (policy, average cost that the table expects, sweeps)."""
+    _, policy, expected, done = tabulate(model, shape, box, share, told)
+    return policy, expected, done
+
+
+def tabulate(
+    model: Model, shape: npt.NDArray[np.int64], box: FloatArray, share: Share, told: Callable[[float], None]
+) -> tuple[SingleArray, SingleArray, float, int]:
+    """`solve`, with the tabulated part w of the value before its results, shape (rings * rays, rows * columns)."""
     rings, rays, size = shape.tolist()
     road, offset, index, weight = model.road_step(rings, rays)
     cell = 2 * box / (size - 1)
@@ -195,4 +203,4 @@ def solve(
         share(len(road), part)
 
     expected, done = settle(apply, value, size * size // 2, policy, told)
-    return policy.reshape(rings, rays, size, size, 4), expected, done
+    return value, policy.reshape(rings, rays, size, size, 4), expected, done

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -19,6 +20,22 @@ POINTS = 5  # of the rule for the road's step
 CHANCE = np.array([1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6])
 NODES = 5  # of D
 NODE = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Part:
+    """What an interval at one constant damping does.
+
+    Attributes:
+        transition: of (Y, X, Z, U) in the mean, shape (4, 4).
+        gain: regression of the noise of (Y, X) on that of (Z, U), shape (2, 2).
+        form, constant: interval cost plus E h0(s') - h0(s), a quadratic form of the state, shape (4, 4), and a number.
+    """
+
+    transition: FloatArray
+    gain: FloatArray
+    form: FloatArray
+    constant: float
 
 
 class Model:
@@ -49,22 +66,33 @@ class Model:
         value = np.append(np.linalg.solve(np.eye(16) - backward[:16, :16], cost[:16]), 0.0)
         self.deviation = np.sqrt(np.diag(constant.covariance())[:2])
 
+        self._value = value
+
         middle, half, rate = variable_of(task.damping_range, self._interval)
         self.maps, self.gains, self.forms = np.empty((NODES, 2, 4)), np.empty((NODES, 2, 2)), np.empty((NODES, 11))
         upper = np.triu_indices(4)
         order = [0, 1, 4, 2, 3, 5, 6, 7, 8, 9]  # the upper triangle has yy, yz, yu after yx, and xx after them
         for k, damping in enumerate(-np.log1p(-(middle + half * NODE)) / rate):
-            system = self._system(damping)
-            step, noise = system.transition(self._interval), system.step_covariance(self._interval)
-            self.maps[k] = step[:2]
-            self.gains[k] = noise[:2, 2:] @ np.linalg.inv(noise[2:, 2:])
-            backward, cost = self._backward(system)
-            form = cost + backward @ value - value
-            matrix = form[:16].reshape(4, 4)
-            both = matrix + matrix.T - np.diag(np.diag(matrix))
-            self.forms[k] = np.append(both[upper][order], form[16])
-        self._turn = step[2:, 2:]
+            part = self.part(damping)
+            self.maps[k], self.gains[k] = part.transition[:2], part.gain
+            both = 2 * part.form - np.diag(np.diag(part.form))
+            self.forms[k] = np.append(both[upper][order], part.constant)
+        self._turn = part.transition[2:, 2:]
         self._second = backward[:, [10, 11, 15]]  # of zz, zu, uu; like the turn, whatever D
+
+    def part(self, damping: float) -> Part:
+        """What an interval at a constant damping does."""
+        system = self._system(damping)
+        noise = system.step_covariance(self._interval)
+        backward, cost = self._backward(system)
+        form = cost + backward @ self._value - self._value
+        matrix = form[:16].reshape(4, 4)
+        return Part(
+            transition=system.transition(self._interval),
+            gain=noise[:2, 2:] @ np.linalg.inv(noise[2:, 2:]),
+            form=(matrix + matrix.T) / 2,
+            constant=float(form[16]),
+        )
 
     def _system(self, damping: float) -> LinearSystem:
         """The plant at a constant damping."""

@@ -17,7 +17,7 @@ from roadgym.reward import asked_signals, check_weights
 from roadgym.roads import Road, make_road
 from roadgym.task import Task, make_task
 
-from ..checks import FloatArray
+from ..checks import FloatArray, processors
 from .driving import Respond, drive
 from .grid import GRIDS, STATE, SingleArray, evaluate, geometry_of
 from .iteration import sharing, solve
@@ -33,7 +33,7 @@ BOX = 8.0  # half the sides of the rectangle, in root mean squares of the car; 5
 
 def check_plant(road: Road, car: Car, weighed: Sequence[str]) -> None:
     """Raises `ParameterError` for a plant, or a cost of these mean squares, for which `optimal_feedback` is not there."""
-    if not _is_second_order(car):
+    if not is_second_order(car):
         check_white(road, car, weighed)
         return
     road_filter = road.shaping_filter()
@@ -41,7 +41,7 @@ def check_plant(road: Road, car: Car, weighed: Sequence[str]) -> None:
         raise ParameterError(f"road must be gaussian, or multiplicative on a circle, got {road!r}")
 
 
-def _is_second_order(car: Car) -> bool:
+def is_second_order(car: Car) -> bool:
     """Is the car, with a second-order road, described by `STATE`?"""
     return car.motion.is_one_mass and set(STATE[:2]) <= set(car.mean_squares)
 
@@ -103,7 +103,7 @@ def optimal_feedback(
     low, high = positive_range("bounds", the_car.default_damping_range if bounds is None else bounds, "damping")
     if low == high:
         raise ParameterError(f"bounds must be a pair (low, high) with low < high, got {shown(bounds)}")
-    problem = (SecondOrderRoad if _is_second_order(the_car) else WhiteRoad)(
+    problem = (SecondOrderRoad if is_second_order(the_car) else WhiteRoad)(
         make_task(
             road=road,
             speed=within("speed", speed, "moving speed"),
@@ -121,13 +121,12 @@ def optimal_feedback(
     whole("seed", seed, low=0, of="seed")
     if not (cache is None or isinstance(cache, (str, os.PathLike))):
         raise ParameterError(f"cache must be a folder or None, got {shown(cache)}")
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     settings = Settings(
         tolerance=tolerance,
         precision=precision,
         refinements=refinements,
         seed=seed,
-        threads=available if threads is None else whole("threads", threads, of="threads"),
+        threads=processors() if threads is None else whole("threads", threads, of="threads"),
     )
     chosen = {name: value for name, value in dataclasses.asdict(settings).items() if name != "threads"}
     text = json.dumps({"format": FORMAT, **problem.description, **chosen}, sort_keys=True)

@@ -1,0 +1,395 @@
+"""The Kalman filter of a car on a road: what its sensors tell of its state, and what its damper did.
+
+At a given D road and car are linear, x' = A(D) x + noise (`roadgym.linear.LinearSystem`), so over a control interval T in which
+D is held
+
+    x(T) = Phi(D) x(0) + w,   Cov w = Q(D),   y = H(D) x(T) + v,   Cov v = R diagonal,
+
+with the acceleration among y that of the D that was in force. Biases of sensors, which are constant in an episode, and what is
+measured and not told yet are states as well; rounding to steps q counts as noise of variance q^2/12; and the commands tell what
+was in force behind a valve. Mean and covariance of x given all that was measured follow by the filter of R. E. Kalman, "A new
+approach to linear filtering and prediction problems", J. Basic Eng. 82, 1960; measurements are taken up one after the other. It
+is exact where road and sensors are Gaussian, for every rule that sets D by what was measured. On the bounded road, whose second
+moments are those of its linear twin, it is the best linear filter where D is set in advance.
+
+Phi and Q are entire functions of D: each is kept as its Chebyshev series over the range of D, at the operating point of its
+car itself. Where that is not told, a bank of filters covers its range, whose posterior weights are those of their innovations
+(D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Autom. Control 10, 1965).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from .kalman_kernel import (
+    advance_beliefs,
+    fit_series,
+    follow_valve,
+    interval_steps,
+    spread_rows,
+    spread_start,
+    take_up,
+    tell,
+    weigh,
+)
+from .linear import FloatArray, LinearSystem, Motion, ShapingFilter
+from .parameters import ParameterError, whole
+from .sensors import Sensor
+from .task import OPERATING_POINT, Task, observed_states
+
+DEGREES = (8, 12, 16, 24, 32, 48, 64, 96, 128)  # of the series, of which the first that is right to ACCURACY is taken
+ACCURACY = 1e-12  # of the largest entry
+IDEAL = Sensor(noise=0.0, bias=0.0, resolution=0.0, delay=0.0, interval=0.0)
+HYPOTHESES = 5  # values of the speed, and of the bandwidth, in a bank
+
+Rows = npt.NDArray[np.float32]
+
+
+@dataclasses.dataclass
+class Model:
+    """Road and car at some operating points, as filters take them.
+
+    Attributes:
+        series: Chebyshev coefficients of Phi and Q over the range of D, shape (points, degree + 1, 2 n^2).
+        rows: H at D = 0, and its derivative, shape (points, 2, measured, states).
+        delayed: rows of the signals that are told late, likewise, in terms of car and road, shape (points, 2, signals, n).
+        start: covariance at the start of an episode, shape (points, states, states).
+        told: what is told of car and road, as rows of them, shape (points, names, n).
+    """
+
+    series: FloatArray
+    rows: FloatArray
+    delayed: FloatArray
+    start: FloatArray
+    told: FloatArray
+
+
+@dataclasses.dataclass
+class Belief:
+    """What is known of ``n`` cars, each of which has one filter, or a bank of ``b``.
+
+    Attributes:
+        point: frequency ratio and bandwidth of each filter, shape (n, b, 2).
+        weight: posterior weight of each, shape (n, b).
+        mean, covariance: of the states of car, road and sensors, shape (n b, states) and (n b, states, states).
+        valve: D in force, which comes first, and all else that the valve of each car keeps, shape (n, rows).
+        time: control intervals since the episode began, shape (n,).
+        model: of the filters, and in ``place`` where they have it.
+        surprise: innovations of the last measurements over their deviations, and these, shape (2, n b, measured).
+    """
+
+    point: FloatArray
+    weight: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    valve: FloatArray
+    time: npt.NDArray[np.int64]
+    model: Model
+    place: npt.NDArray[np.int64]
+    surprise: FloatArray
+
+
+def check_linear(task: Task) -> ShapingFilter:
+    """The road of a plant that a Kalman filter knows, as a filter of white noise.
+
+    Raises:
+        ParameterError: another plant.
+    """
+    road = task.road.shaping_filter()
+    if road is None or not road.noise.size or task.speed_noise is not None:
+        noise = "" if task.speed_noise is None else f" under {task.speed_noise.kind} speed noise"
+        raise ParameterError(
+            "a Kalman filter needs a road that is a linear filter of white noise, at a constant speed; "
+            f"got a {task.road.kind} road{noise}"
+        )
+    return road
+
+
+class KalmanFilter:
+    """Filters for what is measured on a task: its observation, through its sensors.
+
+    Args:
+        task: the task; signals of its observation but for the operating point are measured. Where it observes the operating
+            point, or that is fixed, it is known, else a bank covers its range, in which it is drawn uniformly.
+        hypotheses: values of the speed, and of the bandwidth, in such a bank.
+
+    Attributes:
+        task: as it was given.
+        full: the same task observed in full, which is what the filter tells: the states of the car, level and slope, and the
+            operating point.
+        measured: names of the signals that are measured.
+
+    Raises:
+        ParameterError: a plant that is not linear, no measured signal, or a range of D over which the series do not settle.
+    """
+
+    def __init__(self, task: Task, hypotheses: int = HYPOTHESES) -> None:
+        check_linear(task)
+        self.task = task
+        self.measured = tuple(name for name in task.signals if name not in OPERATING_POINT)
+        if not self.measured:
+            raise ParameterError(f"a Kalman filter needs a signal to be measured; the task observes {', '.join(task.signals)}")
+        self.full = dataclasses.replace(task, signals=observed_states(task), sensors=None)
+        count = whole("hypotheses", hypotheses, of="hypotheses")
+        motion = task.car.motion
+        self._motion: Motion = motion if any(name in motion.filters for name in self.measured) else motion.own
+        self._columns = [task.signals.index(name) for name in self.measured]
+        sensors = [task.real_sensors.get(name, IDEAL) for name in self.measured]
+        self._noise = np.array([sensor.noise**2 + sensor.resolution**2 / 12 for sensor in sensors])
+        self._late = np.array([self._intervals("delay", sensor.delay) for sensor in sensors])
+        self._period = np.array([self._intervals("interval", sensor.interval) or 1 for sensor in sensors])
+        self._biases = np.array([sensor.bias for sensor in sensors])
+        low, high = task.damping_range
+        self._middle, self._half = (low + high) / 2, (high - low) / 2
+        ratios = tuple(task.frequency_ratio(speed) for speed in task.speed)
+        self._ranges = (ratios, task.bandwidth)
+        numbers = task.valve.numbers(task.control_interval, task.car.natural_frequency)
+        self._valve = tuple(float(numbers[f"valve_{name}"]) for name in ("late", "part", "levels", "rate", "rise", "fall"))
+        self._parts = 1 if task.valve.is_still(task.control_interval) else task.substeps
+        self._seen = [task.signals.index(name) if name in task.signals else None for name in OPERATING_POINT]
+        self._degree = self._needed_degree()
+        shares = [
+            [(a + b) / 2] if a == b or seen is not None else (a + (b - a) * (np.arange(count) + 0.5) / count).tolist()
+            for seen, (a, b) in zip(self._seen, self._ranges, strict=True)
+        ]
+        self._bank = np.array(list(itertools.product(*shares)))
+        self._shared = None if any(seen is not None for seen in self._seen) else self.model(self._bank)
+
+    def _intervals(self, what: str, time: float) -> int:
+        """A time of a sensor in control intervals, of which it must be a whole number."""
+        number = time / self.task.control_interval
+        if abs(number - round(number)) > 1e-6:
+            whole_ones = f"whole control intervals, {self.task.control_interval:g} s,"
+            raise ParameterError(f"{what} of sensors must be {whole_ones} for a Kalman filter, got {time:g}")
+        return round(number)
+
+    def _nodes(self, degree: int) -> FloatArray:
+        """Chebyshev's points."""
+        return np.asarray(np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)))
+
+    def _system(self, points: FloatArray, damping: FloatArray) -> LinearSystem:
+        """Road and car at operating points, shape (points, 1 or as many as there are dampings)."""
+        ratio, bandwidth = points[:, 0, None], points[:, 1, None]
+        road = self.task.road.shaping_filter(bandwidth if self.task.bandwidth[1] > 0 else None)
+        assert road is not None  # as `check_linear` has seen
+        return LinearSystem.of(road, self._motion, damping=damping, ratio=ratio)
+
+    def _steps(self, points: FloatArray, damping: FloatArray, time: float) -> FloatArray:
+        """Phi and Q over ``time``, shape (points, dampings, 2, n, n)."""
+        system = self._system(points, damping)
+        size = len(system.states)
+        shape = (len(points), len(damping), size)
+        drift = np.ascontiguousarray(np.broadcast_to(system.drift, (*shape, size))).reshape(-1, size, size)
+        noise = np.ascontiguousarray(np.broadcast_to(system.noise, (*shape, system.noise.shape[-1]))).reshape(
+            *drift.shape[:2], -1
+        )
+        steps = np.empty((len(drift), 2, size, size))
+        interval_steps(drift, noise.reshape(*drift.shape[:2], -1), time, steps)
+        return steps.reshape(*shape[:2], 2, size, size)
+
+    @property
+    def _interval(self) -> float:
+        return self.task.control_interval * self.task.car.natural_frequency
+
+    def _series(self, points: FloatArray, degree: int) -> FloatArray:
+        """Coefficients of Phi and Q, shape (points, degree + 1, 2 n^2)."""
+        nodes = self._nodes(degree)
+        values = self._steps(points, self._middle + self._half * nodes, self._interval / self._parts)
+        fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
+        series = np.empty((len(points), degree + 1, values[0, 0].size))
+        fit_series(fit, values.reshape(series.shape), series)
+        return series
+
+    def _needed_degree(self) -> int:
+        """That at which the series are right at the corners of the operating range."""
+        corners = np.array(list(itertools.product(*self._ranges)))
+        between = np.linspace(-1, 1, 7)
+        known = self._steps(corners, self._middle + self._half * between, self._interval / self._parts).reshape(
+            len(corners), 7, 2, -1
+        )
+        for degree in DEGREES:
+            found = np.polynomial.chebyshev.chebvander(between, degree) @ self._series(corners, degree)
+            error = np.abs(found.reshape(known.shape) - known).max(axis=(0, 1, 3))
+            if np.all(error <= ACCURACY * np.abs(known).max(axis=(0, 1, 3))):
+                return degree
+        low, high = self.task.damping_range
+        raise ParameterError(
+            f"damping_range must be narrower for a Kalman filter at this control_interval, got ({low:g}, {high:g})"
+        )
+
+    def model(self, points: FloatArray) -> Model:
+        """Road and car at operating points (frequency ratio, bandwidth or 0), shape (points, 2)."""
+        task, still = self.task, self._system(points, np.zeros(1))
+        unit = self._system(points, np.ones(1))
+        cars, size, count = still.car_states, len(still.states), len(points)
+        road = task.road.shaping_filter(points[:, 1] if task.bandwidth[1] > 0 else None)
+        assert road is not None
+        level, slope = np.zeros((count, size)), np.zeros((count, size))
+        level[:, cars:], slope[:, cars:] = road.level, road.level @ road.drift
+
+        def row(system: LinearSystem, name: str) -> FloatArray:
+            known = {"level": level, "slope": slope}
+            return known[name] if name in known else np.broadcast_to(system.signals[name], (count, 1, size))[:, 0]
+
+        def both(names: Sequence[str]) -> FloatArray:
+            """H(0) and dH/dD, shape (points, 2, names, n)."""
+            found = [[row(system, name) for name in names] for system in (still, unit)]
+            rows = np.moveaxis(np.array(found).reshape(2, len(names), count, size), 2, 0)
+            rows[:, 1] -= rows[:, 0]
+            return rows
+
+        names = [name for name in self.full.signals if name not in OPERATING_POINT]
+        rise = np.concatenate([still.heights * task.car.starts_on_road, np.eye(size - cars)])
+        law = rise @ still.road_covariance @ rise.T
+        start = np.repeat(law[None], count, axis=0)
+        warm = round(task.warm_up / task.control_interval) * self._interval
+        if warm:
+            spread_start(self._steps(points, np.array([task.warm_up_damping]), warm)[:, 0], law, start)
+        delayed = both([name for name, late in zip(self.measured, self._late, strict=True) if late])
+        lags, biased = self._lags, np.flatnonzero(self._biases)
+        states, chain = size + len(biased) + lags.sum(), size + len(biased)
+        rows = np.zeros((count, 2, len(self.measured), states))
+        rows[..., :size] = both(self.measured)
+        rows[:, 0, biased, size + np.arange(len(biased))] = 1
+        at_once = np.zeros((count, lags.sum(), size))  # before it is told what was, the value at the start is
+        for j, last in zip(np.flatnonzero(self._late), np.cumsum(lags), strict=True):
+            at_once[:, last - self._late[j] : last] = (rows[:, :1] + task.damping_range[0] * rows[:, 1:])[:, 0, j, None, :size]
+            rows[:, :, j, :size] = 0
+            rows[:, 0, j, chain + last - 1] = 1
+        whole_start = np.zeros((count, states, states))
+        spread_rows(at_once, start, self._biases[biased] ** 2, whole_start)
+        return Model(
+            series=self._series(points, self._degree),
+            rows=rows,
+            delayed=delayed,
+            start=whole_start,
+            told=np.stack([row(still, name) for name in names], axis=1),
+        )
+
+    @property
+    def _lags(self) -> npt.NDArray[np.int64]:
+        """Those of the signals that are told late."""
+        return self._late[self._late > 0]
+
+    def _points(self, observations: Rows) -> FloatArray:
+        """Operating points of the filters of each car, shape (n, b, 2), from observations."""
+        points = np.repeat(self._bank[None], len(observations), axis=0)
+        for k, (seen, factor) in enumerate(zip(self._seen, (1.0, 2.0), strict=True)):
+            if seen is not None:
+                share = observations[:, seen].astype(float)
+                points[:, :, k] = np.clip(share / (1 - share) / factor, *self._ranges[k])[:, None]
+        return points
+
+    def begin(self, observations: npt.ArrayLike) -> Belief:
+        """What is known at the start of an episode, from its first observations, shape (n, signals), made at D_min."""
+        seen = np.asarray(observations, np.float32)
+        points = self._points(seen)
+        cars, bank = points.shape[:2]
+        if self._shared is None:
+            distinct, place = np.unique(points.reshape(-1, 2), axis=0, return_inverse=True)
+            model, place = self.model(distinct), place.reshape(-1).astype(np.int64)
+        else:
+            model, place = self._shared, np.tile(np.arange(bank), cars)
+        belief = Belief(
+            point=points,
+            weight=np.full((cars, bank), 1 / bank),
+            mean=np.zeros((cars * bank, model.start.shape[-1])),
+            covariance=model.start[place],
+            valve=np.full((cars, 4 + int(self._valve[0])), self.task.damping_range[0]),
+            time=np.zeros(cars, np.int64),
+            model=model,
+            place=place,
+            surprise=np.zeros((2, cars * bank, len(self.measured))),
+        )
+        return self._measured(belief, seen)
+
+    def advance(self, belief: Belief, damping: npt.ArrayLike, observations: npt.ArrayLike) -> Belief:
+        """What is known after one more control interval.
+
+        Args:
+            belief: what was known before it; it is left as it is.
+            damping: D that was commanded for it, shape (n,); range and valve make of it what is in force.
+            observations: at its end, shape (n, signals).
+        """
+        names = ("weight", "mean", "covariance", "valve")
+        moved = dataclasses.replace(belief, **{name: getattr(belief, name).copy() for name in names}, time=belief.time + 1)
+        means, part = np.empty((len(belief.time), self._parts)), self._interval / self._parts
+        commands = np.clip(np.asarray(damping, float), *self.task.damping_range)
+        follow_valve(self._valve, self.task.damping_range, part, commands, moved.valve, means)
+        known = belief.model.series, belief.model.delayed, self._lags, belief.place
+        advance_beliefs(*known, belief.valve[:, 0], means, self._middle, self._half, moved.mean, moved.covariance)
+        return self._measured(moved, np.asarray(observations, np.float32))
+
+    def _measured(self, belief: Belief, observations: Rows) -> Belief:
+        """The belief, which is new, after what was measured; the weights of a bank are those of its innovations."""
+        cars, bank = belief.weight.shape
+        belief.surprise = np.empty((2, cars * bank, len(self.measured)))
+        known = belief.model.rows, belief.place, belief.valve[:, 0], self._noise, self._late, self._period, belief.time
+        measured = np.ascontiguousarray(observations[:, self._columns])
+        take_up(*known, measured, belief.mean, belief.covariance, belief.surprise)
+        if bank > 1:
+            weigh(belief.surprise, belief.weight)
+        return belief
+
+    def restarted(self, belief: Belief, starts: npt.NDArray[np.bool_], observations: npt.ArrayLike) -> Belief:
+        """The belief, in which the cars that ``starts`` names, shape (n,), begin an episode with these observations."""
+        seen = np.asarray(observations, np.float32)
+        if starts.all():
+            return self.begin(seen)
+        fresh, own = self.begin(seen[starts]), np.repeat(starts, belief.weight.shape[1])
+        result = dataclasses.replace(belief)
+        for name in ("point", "weight", "valve", "time"):
+            setattr(result, name, getattr(belief, name).copy())
+            getattr(result, name)[starts] = getattr(fresh, name)
+        for name in ("mean", "covariance"):
+            setattr(result, name, getattr(belief, name).copy())
+            getattr(result, name)[own] = getattr(fresh, name)
+        result.surprise = belief.surprise.copy()
+        result.surprise[:, own] = fresh.surprise
+        if self._shared is None:
+            result.place = belief.place.copy()
+            kept, place = np.unique(belief.place[~own], return_inverse=True)
+            result.place[~own], result.place[own] = place.reshape(-1), fresh.place + len(kept)
+            parts = {
+                field.name: np.concatenate([getattr(belief.model, field.name)[kept], getattr(fresh.model, field.name)])
+                for field in dataclasses.fields(Model)
+            }
+            result.model = Model(**parts)
+        return result
+
+    def observation(self, belief: Belief) -> Rows:
+        """The means of what `full` observes, in its units, shape (n, signals)."""
+        return self._told(belief)[0]
+
+    def deviations(self, belief: Belief) -> Rows:
+        """Their standard deviations, given all that was measured, shape (n, signals)."""
+        return self._told(belief)[1]
+
+    def likeliest(self, belief: Belief) -> Rows:
+        """The operating point of the most probable filter of each car, as it is observed, shape (n, 1 or 2)."""
+        best = np.take_along_axis(belief.point, np.argmax(belief.weight, axis=1)[:, None, None], axis=1)[:, 0]
+        found = best * [1, 2] / (1 + best * [1, 2])
+        return found[:, [name in self.full.signals for name in OPERATING_POINT]].astype(np.float32)
+
+    def _told(self, belief: Belief) -> tuple[Rows, Rows]:
+        """Means and standard deviations."""
+        names, cars = self.full.signals, len(belief.weight)
+        moving = [name for name in names if name not in OPERATING_POINT]
+        means, squares = np.empty((2, cars, len(names)))
+        states, powers = np.empty((2, cars, len(moving)))
+        tell(belief.model.told, belief.place, belief.weight, belief.mean, belief.covariance, states, powers)
+        found = [names.index(name) for name in moving]
+        means[:, found], squares[:, found] = states, powers
+        for k, (name, factor) in enumerate(zip(OPERATING_POINT, (1.0, 2.0), strict=True)):
+            if name in names:
+                share = factor * belief.point[:, :, k] / (1 + factor * belief.point[:, :, k])
+                means[:, names.index(name)] = np.cumsum(belief.weight * share, axis=1)[:, -1]
+                squares[:, names.index(name)] = np.cumsum(belief.weight * share**2, axis=1)[:, -1]
+        deviations = np.sqrt(np.maximum(squares - means**2, 0.0))
+        space = self.full.observation_space
+        return np.clip(means.astype(np.float32), space.low, space.high), deviations.astype(np.float32)

@@ -1,0 +1,237 @@
+"""Lower bounds by information relaxation: closed forms, what is driven, and values and penalties that are wrong."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+
+import analysis
+import roadgym
+from agents.theory import theoretical_cost
+from analysis.bounds import METHODS, STATISTICAL, information_relaxation
+from analysis.bounds.information_relaxation import Relaxation, standard_error
+from analysis.bounds.relaxation.moments import NoisePolynomials, RoadMoments
+from analysis.bounds.relaxation.roads import DEGREES, nodes
+from roadgym.parameters import ParameterError
+from roadgym.plant import Plant
+from roadgym.task import make_task
+
+STATE = ("displacement", "velocity", "level", "slope")
+RATIO, INTERVAL = 1.5, 0.2
+
+
+def task_of(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, reward=None, **changes):
+    return make_task(
+        road=road,
+        speed=speed,
+        damping_range=damping_range,
+        reward=reward or {"displacement": 1.0},
+        observation=STATE,
+        observe_operating_point=False,
+        control_interval=INTERVAL,
+        **changes,
+    )
+
+
+@functools.cache
+def feedback_of(road, damping_range, speed):
+    task = task_of(road, damping_range, speed)
+    return analysis.optimal_feedback(
+        task.road, speed=speed, bounds=damping_range, control_interval=INTERVAL, refinements=2, precision=0.01, threads=1
+    )
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A relaxation that takes seconds."""
+    monkeypatch.setattr(information_relaxation, "VALUE_GRID", np.array([8, 24, 36]))
+    monkeypatch.setattr(information_relaxation, "ROWS", 36)
+    monkeypatch.setattr(information_relaxation, "LEVELS", 9)
+    monkeypatch.setattr(information_relaxation, "LEAST", 16)
+    monkeypatch.setattr(information_relaxation, "MOST", 16)
+
+    def relaxed(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, intervals=100, seed=3):
+        feedback = feedback_of(road, damping_range, speed)
+        return Relaxation(task_of(road, damping_range, speed), feedback, 0.01, intervals, seed, 1, lambda done: None)
+
+    return relaxed
+
+
+# ---------------------------------------------------------------------- moments of the road
+
+
+@pytest.mark.parametrize("road", [roadgym.GaussianRoad(bandwidth=0.3), roadgym.MultiplicativeRoad.from_shape(shape=2.0)])
+def test_stationary_moments_stay_as_they_are(road):
+    """A quadrature of the stationary law, (11) of Wedig (2020) or Gaussian, is carried over an interval."""
+    moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, 8)
+    if road.shaping_filter().flatness:  # 1 - r^2/r0^2 = W^(1/alpha), W uniform: a Jacobi weight in r^2/r0^2
+        from scipy.special import roots_jacobi
+
+        places, weights = roots_jacobi(10, road.shape - 1, 0)
+        squares = (1 + places) / 2 * 2 * (road.shape + 1)
+    else:
+        from scipy.special import roots_laguerre
+
+        places, weights = roots_laguerre(10)
+        squares = 2 * places
+    angles = 2 * np.pi * np.arange(16) / 16
+    radii = np.sqrt(squares)[:, None]
+    states = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
+    chance = np.repeat(weights / weights.sum() / 16, 16)
+    before = np.stack([np.prod(states**exponents, axis=1) for exponents in moments.exponents])
+    mean, central = moments.central(states)
+    for exponents, stationary in zip(moments.exponents, before @ chance, strict=True):
+        after = 0.0
+        for i in range(exponents[0] + 1):
+            for k in range(exponents[1] + 1):
+                ways = math.comb(exponents[0], i) * math.comb(exponents[1], k)
+                after += ways * central[i, k] * mean[:, 0] ** (exponents[0] - i) * mean[:, 1] ** (exponents[1] - k)
+        assert chance @ after == pytest.approx(stationary, rel=1e-9, abs=1e-9)
+
+
+def test_conditional_moments_of_a_gaussian_road_are_gaussian():
+    road = roadgym.GaussianRoad(bandwidth=0.3)
+    _, central = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, 4).central(np.array([[0.3, -0.7], [2.0, 1.0]]))
+    assert central[0, 4] == pytest.approx(3 * central[0, 2] ** 2, rel=1e-9)
+    assert central[2, 2] == pytest.approx(central[2, 0] * central[0, 2] + 2 * central[1, 1] ** 2, rel=1e-9)
+    assert central[0, 3] == pytest.approx(0, abs=1e-12)
+
+
+def worst_mean(road, interval):
+    """Largest |z| of mean penalties on driven roads, if the moments were those of ``interval``."""
+    task = task_of(road, substeps=9)
+    plant = Plant(task, 65536, threads=1)
+    before = plant.start(np.arange(65536, dtype=np.uint64)).observations[:, 2:].astype(float)
+    after = plant.step(np.ones(65536, np.float32)).observations[:, 2:].astype(float)
+    moments = RoadMoments(task.road.shaping_filter(), RATIO, interval, sum(DEGREES))
+    _, offset, factor = NoisePolynomials(moments, *map(nodes, DEGREES))(before, after)
+    worst = 0.0
+    for i, k in ((0, 1), (1, 0), (0, 2), (1, 1), (2, 0), (0, 4), (2, 2)):  # w that is a monomial, times any predictable factor
+        penalty = (factor * offset[:, :, 0] ** i * offset[:, :, 1] ** k).sum(axis=1)
+        for weight in (1.0, before[:, 0], before[:, 0] ** 2, before[:, 1] ** 2):
+            worst = max(worst, abs((weight * penalty).mean()) / (weight * penalty).std() * math.sqrt(len(before)))
+    return worst
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
+def test_penalties_have_mean_zero_and_biased_ones_have_not(road):
+    assert worst_mean(road, INTERVAL) < 4.5
+    assert worst_mean(road, 0.9 * INTERVAL) > 20
+
+
+def test_the_points_of_the_noise_reproduce_polynomials():
+    """Lagrange's polynomials at the road that came, less their means: those of any polynomial of the degrees are exact."""
+    road = roadgym.MultiplicativeRoad.from_shape(shape=2.0)
+    moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, sum(DEGREES))
+    before, after = np.array([[0.4, 0.9]]), np.array([[0.7, 0.5]])
+    mean, offset, factor = NoisePolynomials(moments, *map(nodes, DEGREES))(before, after)
+    _, central = moments.central(before)
+    came = (after - mean)[0]
+    for i, k in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 4), (2, 4)):
+        found = factor[0] @ (offset[0, :, 0] ** i * offset[0, :, 1] ** k)
+        assert found == pytest.approx(came[0] ** i * came[1] ** k - central[i, k][0], rel=1e-6, abs=1e-9)
+
+
+# ---------------------------------------------------------------------- the bound
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
+def test_with_one_damping_it_is_the_closed_form(small, road):
+    found = small(road, (0.3, 0.3001), intervals=200)
+    exact = theoretical_cost(task_of(road), 0.3, RATIO, 0.1)
+    assert found.cost <= exact + 4 * found.standard_error
+    assert found.cost == pytest.approx(exact, rel=0.02)
+    assert found.standard_error < 0.005 * exact
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("road", "speed"), [("gaussian", 1.5), ("multiplicative", 1.5), ("multiplicative", 3.0)])
+def test_it_lies_just_below_the_best_feedback(small, road, speed):
+    found = small(road, speed=speed)
+    assert found.driven == pytest.approx(feedback_of(road, (0.05, 1.0), speed).cost, rel=0.05)
+    assert found.cost < found.driven + 3 * found.standard_error
+    assert found.cost > 0.75 * found.driven
+    assert np.all(found.gaps < 0.02 * found.driven)  # one that is told the road does better, on each of them
+    assert found.charge >= 0
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("factor", [0.0, 0.5, 1.5])
+def test_with_a_wrong_value_it_is_lower_and_still_a_bound(small, monkeypatch, factor):
+    right = small()
+    tabulate = information_relaxation.tabulate
+
+    def wrong(*arguments):
+        value, *others = tabulate(*arguments)
+        return (factor * value).astype(np.float32), *others
+
+    monkeypatch.setattr(information_relaxation, "tabulate", wrong)
+    found = small()
+    assert found.cost < right.cost - 3 * found.standard_error
+
+
+@pytest.mark.statistical
+def test_a_biased_penalty_is_caught(small, monkeypatch):
+    """With penalties whose mean is not zero the feedback's bracket no longer has the mean that its cost says."""
+    central = RoadMoments.central
+
+    def biased(self, states):
+        mean, found = central(self, states)
+        return mean, {exponents: 0.7 * moment if sum(exponents) == 2 else moment for exponents, moment in found.items()}
+
+    right = small(intervals=200)
+    assert abs(right.bracket.mean() - right.driven) < 4.5 * math.hypot(standard_error(right.bracket), right.driven_error)
+    monkeypatch.setattr(RoadMoments, "central", biased)
+    found = small(intervals=200)
+    assert abs(found.bracket.mean() - found.driven) > 6 * math.hypot(standard_error(found.bracket), found.driven_error)
+
+
+def test_results_do_not_depend_on_threads(small):
+    task, feedback = task_of(), feedback_of("multiplicative", (0.05, 1.0), RATIO)
+    found = [Relaxation(task, feedback, 0.01, 10, 0, threads, lambda done: None) for threads in (1, 2)]
+    assert found[0].cost == found[1].cost
+
+
+def test_the_method_at_an_operating_point_of_a_task_with_ranges(small, tmp_path):
+    task = make_task(road="gaussian", speed=(1.0, 2.0), bandwidth=(0.05, 0.3))
+    told = []
+    found = information_relaxation.bound(
+        task,
+        1.5,
+        0.1,
+        precision=0.01,
+        intervals=20,
+        cache=tmp_path,
+        threads=1,
+        report=lambda done, total: told.append((done, total)),
+    )
+    assert (found.method, found.rigour) == ("information_relaxation", STATISTICAL)
+    assert 0 < found.standard_error < found.cost
+    assert told == sorted(told)
+    assert told[-1] == (100, 100)
+    assert METHODS["information_relaxation"].bound is information_relaxation.bound
+
+
+@pytest.mark.parametrize(
+    ("plant", "reason"),
+    [
+        ({"road": "first_order"}, "a Gaussian road, or a bounded one on a circle"),
+        ({"road": "harmonic", "speed_noise": {"kind": "white", "intensity": 0.1}}, "no noise on the speed"),
+        ({"road": "iso_c", "car": "two_mass", "speed": 20.0}, "the car of one mass"),
+    ],
+)
+def test_what_it_is_not_there_for(plant, reason):
+    task = make_task(**plant)
+    assert reason in information_relaxation.refusal(task)
+    with pytest.raises(ParameterError, match=reason):
+        information_relaxation.bound(task, task.speed[0], task.bandwidth[0])
+
+
+@pytest.mark.parametrize("settings", [{"precision": 0}, {"precision": "low"}, {"intervals": 0}, {"threads": 0}])
+def test_bad_settings_are_named(settings):
+    (name,) = settings
+    with pytest.raises(ParameterError, match=f"^{name} must be"):
+        information_relaxation.bound(task_of(), RATIO, 0.1, **settings)
