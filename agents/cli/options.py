@@ -129,8 +129,8 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
     group = parser.add_argument_group("training")
     group.add_argument(
         "--algorithm",
-        default="ppo",
-        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent (%(default)s)",
+        help="apg, ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent "
+        "(apg; ppo with hyperparameters, wrappers, sensors, a valve or an estimator, and to tune)",
     )
     group.add_argument(
         "--hyperparameters",
