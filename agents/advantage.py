@@ -23,7 +23,7 @@ def operating_point(task: Task) -> tuple[str, ...]:
 
 def is_differentiable(task: Task) -> bool:
     """Can a policy be differentiated through the plant: is the command in force at once, and seen what there is?"""
-    return task.valve.ideal and not task.real_sensors
+    return task.ideal_valve and task.vary is None and not task.real_sensors
 
 
 def has_advantage(task: Task) -> bool:

@@ -47,7 +47,9 @@ class DrivenRoads:
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int) -> None:
         if not is_differentiable(task):
-            raise ParameterError("sensors and valve must be ideal for a gradient through the plant: choose another algorithm")
+            raise ParameterError(
+                "sensors and valve must be ideal, and cars alike, for a gradient through the plant: choose another algorithm"
+            )
         if sight.frame_stack > 1:
             raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
         interval = Interval.of(task)

@@ -416,7 +416,7 @@ def _with_advantage(env: Environment | Batch) -> Task:
     task = task_of(env)
     if not (has_advantage(task) and task.ideal_valve and task.vary is None):
         raise ParameterError(
-            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed, and an "
-            "ideal valve"
+            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed, an "
+            "ideal valve, and one car"
         )
     return task

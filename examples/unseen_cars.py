@@ -41,7 +41,7 @@ HYPERPARAMETERS = load_hyperparameters("ppo", "ppo_plain") | {
     "n_envs": 64,
     "n_steps": 64,
     "batch_size": 512,
-    "n_timesteps": 400_000,
+    "n_timesteps": 1_000_000,
     "gae_lambda": 0.95,  # behind a slow valve what an action does comes later
 }
 
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--road", default="iso_c", help="class of the road (%(default)s)")
     parser.add_argument("--speed", type=float, default=20.0, help="m/s (%(default)s)")
     parser.add_argument("--seeds", type=int, default=2, help="agents of each kind (%(default)s)")
-    parser.add_argument("--timesteps", type=int, help="control intervals to train for (400000)")
+    parser.add_argument("--timesteps", type=int, help="control intervals to train for (1000000)")
     parser.add_argument("--rules", nargs="*", default=["skyhook_continuous", "clipped_lqr"], help="(%(default)s)")
     parser.add_argument("--lags", type=float, nargs="*", default=[0.0, 10.0, 20.0, 30.0], metavar="MS", help="(%(default)s)")
     parser.add_argument("--episodes", type=int, default=256, help="each with a car of its own (%(default)s)")
