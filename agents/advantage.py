@@ -5,7 +5,7 @@ from __future__ import annotations
 from analysis.quadratic import advantage_forms, has_quadratic_value
 from roadgym.task import OPERATING_POINT, Task
 
-__all__ = ["advantage_forms", "has_advantage", "operating_point", "state_of"]
+__all__ = ["advantage_forms", "has_advantage", "is_differentiable", "operating_point", "state_of"]
 
 ROAD_STATES = {"level", "slope"}  # those of a road that the environments tell
 
@@ -19,6 +19,11 @@ def state_of(task: Task) -> tuple[str, ...]:
 def operating_point(task: Task) -> tuple[str, ...]:
     """Names of what makes an operating point of ``task``: the speed, and the bandwidth on a road that has one."""
     return OPERATING_POINT if task.bandwidth[1] > 0 else OPERATING_POINT[:1]
+
+
+def is_differentiable(task: Task) -> bool:
+    """Can a policy be differentiated through the plant: is the command in force at once, and seen what there is?"""
+    return task.ideal_valve and task.vary is None and not task.real_sensors
 
 
 def has_advantage(task: Task) -> bool:

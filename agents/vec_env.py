@@ -31,6 +31,8 @@ with needs("train"):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 
+if TYPE_CHECKING:
+    from .differentiable import DrivenRoads
 if not TYPE_CHECKING:
     __getattr__ = moved(__name__, action_space="agents.actions")
 
@@ -140,6 +142,8 @@ class QuarterCarVecEnv(VecEnv):
         )
         self.task = task_of(learned)
         self._batch, _ = wrap(learned, wrappers)
+        self._seen = features, frame_stack
+        self._beside = (*wrappers, *(() if estimator is None else (estimator,)))
         super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self.metadata |= {"render_fps": self.envs.metadata["render_fps"]}
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
@@ -188,6 +192,24 @@ class QuarterCarVecEnv(VecEnv):
         self._returns[:] = 0
         self._lengths[:] = 0
         return np.asarray(observations)
+
+    def driven_roads(self, steps: int) -> DrivenRoads:
+        """What records ``steps`` control intervals for a gradient through the plant, of `road_and_car` before each.
+
+        Raises:
+            ParameterError: a stack of observations, an estimator, or wrappers, which could pay for another thing than the cost.
+        """
+        from .differentiable import DrivenRoads
+
+        if self._beside:
+            raise ParameterError(
+                f"wrappers and estimator must be none for a gradient through the plant, got {', '.join(map(str, self._beside))}"
+            )
+        return DrivenRoads(self.task, Sight(self.task, *self._seen), self.num_envs, steps)
+
+    def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """The states of `roadgym.vector.QuarterCarVectorEnv.state`, and the rate of the road's angle over w1 now."""
+        return self.envs.state(), self.envs.plant.row("rate").astype(float)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions, shape (num_envs, 1), or (num_envs,) where they are levels, for `step_wait`."""

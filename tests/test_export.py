@@ -135,6 +135,7 @@ def trained(folder, algorithm, environment=ENVIRONMENT, hyperparameters=None, ch
 
 
 KINDS = {  # by name, what `trained` takes
+    "apg": ("apg", ENVIRONMENT, None, {"horizon": 4}),
     "ppo": ("ppo",),
     "a2c": ("a2c",),
     "sac": ("sac",),

@@ -240,6 +240,7 @@ def _actor_critic(policy: Any) -> list[Any]:
 
 
 ACTORS: Mapping[str, Callable[[Any], list[Any]]] = {  # by algorithm, the modules from what is seen to the action's mean
+    "apg": lambda policy: [policy.features_extractor, policy.network],
     "ppo": _actor_critic,
     "a2c": _actor_critic,
     "recurrent_ppo": lambda policy: [(own := _actor_critic(policy))[0], policy.lstm_actor, *own[1:]],
