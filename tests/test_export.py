@@ -305,7 +305,7 @@ def test_what_cannot_be_exported_is_told_in_one_line(ppo, tmp_path):
     with pytest.raises(agents.AgentError, match="whose wrapper changes actions"):
         export(wrapped, "c", tmp_path)
     other = types.SimpleNamespace(**{**vars(agent), "description": agent.description | {"algorithm": "own"}})
-    with pytest.raises(agents.AgentError, match="cannot export an agent of 'own': known are ppo, "):
+    with pytest.raises(agents.AgentError, match="cannot export an agent of 'own': known are apg, ppo, "):
         export(other, "onnx", tmp_path)
     odd = trained(tmp_path / "odd", "ppo", changes={"policy_kwargs": {"net_arch": [8], "activation_fn": "Softsign"}})
     with pytest.raises(agents.AgentError, match=r"cannot export a policy with a Softsign: known are .*, ReLU"):
