@@ -123,6 +123,7 @@ class KalmanFilter:
         full: the same task observed in full, which is what the filter tells: the states of the car, level and slope, and the
             operating point.
         measured: names of the signals that are measured.
+        variances: of the noise of each, that of rounding included, shape (measured,).
 
     Raises:
         ParameterError: a plant that is not linear, no measured signal, or a range of D over which the series do not settle.
@@ -140,7 +141,7 @@ class KalmanFilter:
         self._motion: Motion = motion if any(name in motion.filters for name in self.measured) else motion.own
         self._columns = [task.signals.index(name) for name in self.measured]
         sensors = [task.real_sensors.get(name, IDEAL) for name in self.measured]
-        self._noise = np.array([sensor.noise**2 + sensor.resolution**2 / 12 for sensor in sensors])
+        self.variances = np.array([sensor.noise**2 + sensor.resolution**2 / 12 for sensor in sensors])
         self._late = np.array([self._intervals("delay", sensor.delay) for sensor in sensors])
         self._period = np.array([self._intervals("interval", sensor.interval) or 1 for sensor in sensors])
         self._biases = np.array([sensor.bias for sensor in sensors])
@@ -329,7 +330,7 @@ class KalmanFilter:
         """The belief, which is new, after what was measured; the weights of a bank are those of its innovations."""
         cars, bank = belief.weight.shape
         belief.surprise = np.empty((2, cars * bank, len(self.measured)))
-        known = belief.model.rows, belief.place, belief.valve[:, 0], self._noise, self._late, self._period, belief.time
+        known = belief.model.rows, belief.place, belief.valve[:, 0], self.variances, self._late, self._period, belief.time
         measured = np.ascontiguousarray(observations[:, self._columns])
         take_up(*known, measured, belief.mean, belief.covariance, belief.surprise)
         if bank > 1:
