@@ -24,11 +24,13 @@ def operating_point(task: Task) -> tuple[str, ...]:
 def is_differentiable(task: Task, estimator: str | None = None) -> bool:
     """Can a policy be differentiated through the plant?
 
-    That is where the command is in force at once, and what is seen is what there is; or an ``estimator`` makes one filter a car
-    of sensors that tell at once and have no biases, where the operating point is known.
+    That is where cars are alike, the command is in force at once, and what is seen is what there is; or an ``estimator`` makes
+    one filter a car of sensors that tell at once and have no biases, where the operating point is known.
     """
-    if not task.valve.ideal or estimator is None:
-        return task.valve.ideal and not task.real_sensors
+    if not task.ideal_valve or task.vary is not None:
+        return False
+    if estimator is None:
+        return not task.real_sensors
     known = {"speed": task.speed[0] == task.speed[1], "bandwidth": task.bandwidth[0] == task.bandwidth[1]}
     at_once = all(sensor.delay == sensor.interval == sensor.bias == 0 for sensor in task.real_sensors.values())
     return at_once and all(known[name] or name in task.signals for name in OPERATING_POINT)

@@ -43,15 +43,14 @@ class DrivenRoads:
         estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
 
     Raises:
-        ParameterError: a stack of observations; a valve; or sensors, but where the estimator has one plain filter of them.
+        ParameterError: a stack of observations, a valve, cars that vary, or sensors without one plain filter of them.
     """
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int, estimator: Filtering | None = None) -> None:
         if not is_differentiable(task, None if estimator is None else "kalman"):
-            needed = "ideal" if estimator is None else "ideal but for noise, and speed and bandwidth known,"
-            raise ParameterError(
-                f"sensors and valve must be {needed} for a gradient through the plant: choose another algorithm"
-            )
+            but = "" if estimator is None else " but for noise, speed and bandwidth known"
+            needed = f"sensors and valve must be ideal{but}, and cars alike,"
+            raise ParameterError(f"{needed} for a gradient through the plant: choose another algorithm")
         if sight.frame_stack > 1:
             raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
         interval = Interval.of(task)

@@ -111,5 +111,5 @@ def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
     ],
 )
 def test_what_is_more_than_a_plain_filter_is_refused(changes):
-    with pytest.raises(ParameterError, match="sensors and valve must be ideal but for noise, and speed and"):
+    with pytest.raises(ParameterError, match="sensors and valve must be ideal but for noise, speed and bandwidth known, and"):
         make_model("apg", load_hyperparameters("apg") | SMALL, PLANTS["bounded"] | changes, 0, None)

@@ -109,6 +109,14 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         "--valve",
         {"type": component, "metavar": "JSON", "help": f"mapping of {', '.join(Valve.__dataclass_fields__)} (ideal)"},
     ),
+    "vary": (
+        "--vary",
+        {
+            "type": component,
+            "metavar": "JSON",
+            "help": "mapping from fields of the car, or valve.FIELD, to bounds between which each episode draws its own (none)",
+        },
+    ),
     "natural_frequency": (
         "--natural-frequency",
         {"type": float, "metavar": "W1", "help": "natural frequency of the car of one mass, rad/s (1)"},
