@@ -21,9 +21,19 @@ def operating_point(task: Task) -> tuple[str, ...]:
     return OPERATING_POINT if task.bandwidth[1] > 0 else OPERATING_POINT[:1]
 
 
-def is_differentiable(task: Task) -> bool:
-    """Can a policy be differentiated through the plant: is the command in force at once, and seen what there is?"""
-    return task.ideal_valve and task.vary is None and not task.real_sensors
+def is_differentiable(task: Task, estimator: str | None = None) -> bool:
+    """Can a policy be differentiated through the plant?
+
+    That is where cars are alike, the command is in force at once, and what is seen is what there is; or an ``estimator`` makes
+    one filter a car of sensors that tell at once and have no biases, where the operating point is known.
+    """
+    if not task.ideal_valve or task.vary is not None:
+        return False
+    if estimator is None:
+        return not task.real_sensors
+    known = {"speed": task.speed[0] == task.speed[1], "bandwidth": task.bandwidth[0] == task.bandwidth[1]}
+    at_once = all(sensor.delay == sensor.interval == sensor.bias == 0 for sensor in task.real_sensors.values())
+    return at_once and all(known[name] or name in task.signals for name in OPERATING_POINT)
 
 
 def has_advantage(task: Task) -> bool:

@@ -2,8 +2,8 @@
 
 Algorithms of policy gradients that know nothing of the plant tell from the noise of many drives what another damping would have
 cost. Here the plant is known, but for its road, and linear while D is held: what was driven is driven again in torch over the
-same road (`agents.differentiable`), and the cost of a stretch of it, with the value of a constant damping for what comes after,
-is differentiated through all its intervals by the weights of the policy.
+same road (`agents.differentiable`), and the cost of a stretch of it, with a value for what comes after, is differentiated
+through all its intervals by the weights of the policy.
 
 Source: R. J. Williams, "On the use of backpropagation in associative reinforcement learning", ICNN 1988; with a value at the
 end of a short horizon, J. Xu et al., "Accelerated policy learning with parallel differentiable simulation", ICLR 2022.

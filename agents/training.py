@@ -124,13 +124,13 @@ def check_seed(seed: int) -> None:
         raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
 
 
-def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = ()) -> str:
+def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = (), estimator: str | None = None) -> str:
     """The algorithm where none is named: "apg", or "ppo" where that cannot be.
 
     That is where hyperparameters are ``chosen``, which are those of "ppo"; with wrappers, which may pay for something else than
-    the cost; and behind sensors or a valve, through which is not differentiated.
+    the cost; behind a valve; and behind sensors without an ``estimator``, or of which it makes more than one plain filter.
     """
-    return "ppo" if chosen or wrappers or not is_differentiable(task) else "apg"
+    return "ppo" if chosen or wrappers or not is_differentiable(task, estimator) else "apg"
 
 
 def _schedule(name: str, value: Any) -> Any:

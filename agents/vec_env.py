@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from roadgym import ENVIRONMENT_ID
@@ -21,7 +21,7 @@ from roadgym.moved import moved
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
-from roadgym.wrappers import KalmanObservation
+from roadgym.wrappers import KalmanObservation, VectorKalmanObservation
 
 from .actions import damping_from_action as damping_from_action
 from .features import Sight as Sight
@@ -85,6 +85,14 @@ def _each(info: Mapping[str, Any]) -> list[dict[str, Any]]:
     return _dictionaries(names)(zip(*[info[name].tolist() for name in names], strict=True))
 
 
+def layers(batch: Any) -> Iterator[Any]:
+    """The wrappers of a batch from the outermost on, and itself."""
+    while isinstance(batch, VectorWrapper):
+        yield batch
+        batch = batch.env
+    yield batch
+
+
 class QuarterCarVecEnv(VecEnv):
     """``num_envs`` quarter cars for stable-baselines3, as they learn well: the batch within `agents.wrappers.learning`.
 
@@ -142,8 +150,8 @@ class QuarterCarVecEnv(VecEnv):
         )
         self.task = task_of(learned)
         self._batch, _ = wrap(learned, wrappers)
-        self._seen = features, frame_stack
-        self._beside = (*wrappers, *(() if estimator is None else (estimator,)))
+        self._seen, self._wrappers = (features, frame_stack), wrappers
+        self._estimator = next((layer for layer in layers(learned) if isinstance(layer, VectorKalmanObservation)), None)
         super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self.metadata |= {"render_fps": self.envs.metadata["render_fps"]}
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
@@ -197,15 +205,13 @@ class QuarterCarVecEnv(VecEnv):
         """What records ``steps`` control intervals for a gradient through the plant, of `road_and_car` before each.
 
         Raises:
-            ParameterError: a stack of observations, an estimator, or wrappers, which could pay for another thing than the cost.
+            ParameterError: what `agents.differentiable.DrivenRoads` refuses, or wrappers, which could pay for something else.
         """
         from .differentiable import DrivenRoads
 
-        if self._beside:
-            raise ParameterError(
-                f"wrappers and estimator must be none for a gradient through the plant, got {', '.join(map(str, self._beside))}"
-            )
-        return DrivenRoads(self.task, Sight(self.task, *self._seen), self.num_envs, steps)
+        if self._wrappers:
+            raise ParameterError(f"wrappers must be none for a gradient through the plant, got {', '.join(self._wrappers)}")
+        return DrivenRoads(self.envs.task, Sight(self.task, *self._seen), self.num_envs, steps, self._estimator)
 
     def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """The states of `roadgym.vector.QuarterCarVectorEnv.state`, and the rate of the road's angle over w1 now."""

@@ -7,7 +7,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import agents
 from agents.analytic_gradient import APG
-from agents.differentiable import Seen
+from agents.controllers import make_controller
+from agents.differentiable import Seen, values
 from agents.evaluation import evaluate
 from agents.features import Sight
 from agents.report import theory_given
@@ -52,7 +53,7 @@ def test_what_was_driven_is_driven_again(plant):
     assert (moved + roads._left[step] - roads._car[step + 1]).abs().max() < 1e-5 * scale
     assert (moved - roads._car[step + 1]).abs().mean() < 0.05 * scale  # of the road between the ends little is left out
     roads._look(roads._states[step, :, -3:-1])
-    seen = roads._sees(roads._car[step + 1], place, step + 1, rows)
+    seen = roads._sees(roads._car[step + 1], place, step + 1, rows, None)
     np.testing.assert_allclose(seen, roads._seen[step + 1], rtol=1e-3, atol=1e-3)
     assert float(cost.mean()) > 0
 
@@ -123,6 +124,17 @@ def test_what_another_damping_does_to_the_car_is_what_the_environment_does():
     assert (moved[1] - moved[0] - changed).abs().max() < 0.03 * changed.abs().max()
 
 
+@pytest.mark.parametrize("plant", ["comfort", "two masses"])
+def test_the_end_of_a_stretch_is_worth_what_the_mixed_lookahead_says(plant):
+    task = make_task(**{**PLANTS[plant], "observation": None})
+    point = (1.5, 0.2 if plant == "comfort" else 0.0)
+    found, cost = values(task, np.array([point]))
+    expected, constant = (make_controller("mixed_lookahead", task, mixing=mixing).value(*point) for mixing in (0.5, 0.0))
+    apart = np.abs(expected - constant).max()
+    np.testing.assert_allclose(found[0], expected, atol=0.1 * apart)  # but for a constant damping that is nearly the best
+    assert cost > 0
+
+
 @pytest.mark.parametrize("features", [["products"], ["signals", "products", "lookahead"], ["signals"]])
 def test_features_in_torch_are_those_that_the_agent_sees(features):
     task = make_task(**PLANTS["bounded"], observation=["travel", "displacement", "velocity", "level", "slope"])
@@ -161,6 +173,10 @@ def test_it_is_what_is_trained_where_nothing_is_chosen(tmp_path):
     slow, noisy = make_task(valve={"delay": 0.2}), make_task(sensors={"noise": 0.1})
     assert usual_algorithm(ideal, True) == usual_algorithm(ideal, False, ["module:Wrapper"]) == "ppo"
     assert usual_algorithm(slow, False) == usual_algorithm(noisy, False) == "ppo"
+    assert usual_algorithm(noisy, False, (), "kalman") == "apg"
+    hidden, late = make_task(speed=(0.7, 3.0), observe_operating_point=False), make_task(sensors={"delay": 0.2})
+    for task in (slow, hidden, late):
+        assert usual_algorithm(task, False, (), "kalman") == "ppo"
     assert usual_algorithm(make_task(), False) == "apg"
 
 
@@ -211,7 +227,7 @@ def test_episodes_that_end_within_what_is_driven_are_not_differentiated_through(
         ({"damping_levels": 3}, "hyperparameters of apg: The algorithm only supports"),
         (
             {"wrappers": ["gymnasium.wrappers.vector:RecordEpisodeStatistics"]},
-            "wrappers and estimator must be none for a gradient through the plant",
+            "wrappers must be none for a gradient through the plant",
         ),
     ],
 )

@@ -81,8 +81,8 @@ def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]
     from ..training import usual_algorithm
 
     if chosen.algorithm is None:
-        other = chosen.hyperparameters is not None or getattr(chosen, "estimator", None) is not None
-        chosen.algorithm = usual_algorithm(make_task(**environment), other, chosen.wrapper)
+        other, estimator = chosen.hyperparameters is not None, getattr(chosen, "estimator", None)
+        chosen.algorithm = usual_algorithm(make_task(**environment), other, chosen.wrapper, estimator)
 
 
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
