@@ -12,16 +12,17 @@ from agents.theory import theoretical_cost
 from analysis.bounds import METHODS, STATISTICAL, information_relaxation
 from analysis.bounds.information_relaxation import Relaxation, standard_error
 from analysis.bounds.relaxation.moments import NoisePolynomials, RoadMoments
-from analysis.bounds.relaxation.roads import DEGREES, nodes
+from analysis.bounds.relaxation.roads import DEGREES
+from analysis.feedback import driving
 from roadgym.parameters import ParameterError
 from roadgym.plant import Plant
 from roadgym.task import make_task
 
 STATE = ("displacement", "velocity", "level", "slope")
-RATIO, INTERVAL = 1.5, 0.2
+RATIO, INTERVAL, RANGE = 1.5, 0.2, (0.1, 1.0)
 
 
-def task_of(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, reward=None, **changes):
+def task_of(road="multiplicative", damping_range=RANGE, speed=RATIO, reward=None, **changes):
     return make_task(
         road=road,
         speed=speed,
@@ -38,24 +39,26 @@ def task_of(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, rewar
 def feedback_of(road, damping_range, speed):
     task = task_of(road, damping_range, speed)
     return analysis.optimal_feedback(
-        task.road, speed=speed, bounds=damping_range, control_interval=INTERVAL, refinements=2, precision=0.01, threads=1
+        task.road, speed=speed, bounds=damping_range, control_interval=INTERVAL, refinements=1, precision=0.02, threads=1
     )
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """A relaxation that takes seconds."""
-    monkeypatch.setattr(information_relaxation, "VALUE_GRID", np.array([8, 24, 36]))
-    monkeypatch.setattr(information_relaxation, "ROWS", 36)
-    monkeypatch.setattr(information_relaxation, "LEVELS", 9)
-    monkeypatch.setattr(information_relaxation, "LEAST", 16)
-    monkeypatch.setattr(information_relaxation, "MOST", 16)
+@pytest.fixture(scope="module")
+def small():
+    """A relaxation that takes seconds; kept, but for its ``__wrapped__``."""
 
-    def relaxed(road="multiplicative", damping_range=(0.05, 1.0), speed=RATIO, intervals=100, seed=3):
+    @functools.cache
+    def relaxed(road="multiplicative", damping_range=RANGE, speed=RATIO):
         feedback = feedback_of(road, damping_range, speed)
-        return Relaxation(task_of(road, damping_range, speed), feedback, 0.01, intervals, seed, 1, lambda done: None)
+        return Relaxation(task_of(road, damping_range, speed), feedback, 1.0, 50, 3, 1, lambda done: None)
 
-    return relaxed
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(driving, "LANES_DRIVEN", 512)
+        patch.setattr(information_relaxation, "VALUE_GRID", np.array([8, 24, 36]))
+        patch.setattr(information_relaxation, "ROWS", 36)
+        patch.setattr(information_relaxation, "LEVELS", 9)
+        patch.setattr(information_relaxation, "LEAST", 16)
+        yield relaxed
 
 
 # ---------------------------------------------------------------------- moments of the road
@@ -105,7 +108,7 @@ def worst_mean(road, interval):
     before = plant.start(np.arange(65536, dtype=np.uint64)).observations[:, 2:].astype(float)
     after = plant.step(np.ones(65536, np.float32)).observations[:, 2:].astype(float)
     moments = RoadMoments(task.road.shaping_filter(), RATIO, interval, sum(DEGREES))
-    _, offset, factor = NoisePolynomials(moments, *map(nodes, DEGREES))(before, after)
+    _, offset, factor = NoisePolynomials(moments, *DEGREES)(before, after)
     worst = 0.0
     for i, k in ((0, 1), (1, 0), (0, 2), (1, 1), (2, 0), (0, 4), (2, 2)):  # w that is a monomial, times any predictable factor
         penalty = (factor * offset[:, :, 0] ** i * offset[:, :, 1] ** k).sum(axis=1)
@@ -126,7 +129,7 @@ def test_the_points_of_the_noise_reproduce_polynomials():
     road = roadgym.MultiplicativeRoad.from_shape(shape=2.0)
     moments = RoadMoments(road.shaping_filter(), RATIO, INTERVAL, sum(DEGREES))
     before, after = np.array([[0.4, 0.9]]), np.array([[0.7, 0.5]])
-    mean, offset, factor = NoisePolynomials(moments, *map(nodes, DEGREES))(before, after)
+    mean, offset, factor = NoisePolynomials(moments, *DEGREES)(before, after)
     _, central = moments.central(before)
     came = (after - mean)[0]
     for i, k in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 4), (2, 4)):
@@ -140,37 +143,37 @@ def test_the_points_of_the_noise_reproduce_polynomials():
 @pytest.mark.statistical
 @pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
 def test_with_one_damping_it_is_the_closed_form(small, road):
-    found = small(road, (0.3, 0.3001), intervals=200)
+    found = small(road, (0.3, 0.3001))
     exact = theoretical_cost(task_of(road), 0.3, RATIO, 0.1)
     assert found.cost <= exact + 4 * found.standard_error
     assert found.cost == pytest.approx(exact, rel=0.02)
-    assert found.standard_error < 0.005 * exact
+    assert found.standard_error < 0.01 * exact
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize(("road", "speed"), [("gaussian", 1.5), ("multiplicative", 1.5), ("multiplicative", 3.0)])
+@pytest.mark.parametrize(("road", "speed"), [("gaussian", RATIO), ("multiplicative", RATIO), ("multiplicative", 3.0)])
 def test_it_lies_just_below_the_best_feedback(small, road, speed):
     found = small(road, speed=speed)
-    assert found.driven == pytest.approx(feedback_of(road, (0.05, 1.0), speed).cost, rel=0.05)
+    assert found.driven == pytest.approx(feedback_of(road, RANGE, speed).cost, rel=0.15)  # of a few D alone: it costs more
     assert found.cost < found.driven + 3 * found.standard_error
-    assert found.cost > 0.75 * found.driven
-    assert np.all(found.gaps < 0.02 * found.driven)  # one that is told the road does better, on each of them
+    assert found.cost > 0.6 * found.driven
+    assert np.all(found.gaps < 0.05 * found.driven)  # one that is told the road does better on each, but for a coarse grid
     assert found.charge >= 0
+    assert found.standard_error < 0.1 * found.driven
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("factor", [0.0, 0.5, 1.5])
-def test_with_a_wrong_value_it_is_lower_and_still_a_bound(small, monkeypatch, factor):
-    right = small()
-    tabulate = information_relaxation.tabulate
+def test_with_a_wrong_value_it_is_lower_and_still_a_bound(small, monkeypatch):
+    right, tabulate = small(), information_relaxation.tabulate
+    for factor in (0.0, 1.5):
 
-    def wrong(*arguments):
-        value, *others = tabulate(*arguments)
-        return (factor * value).astype(np.float32), *others
+        def wrong(*arguments, factor=factor):
+            value, *others = tabulate(*arguments)
+            return (factor * value).astype(np.float32), *others
 
-    monkeypatch.setattr(information_relaxation, "tabulate", wrong)
-    found = small()
-    assert found.cost < right.cost - 3 * found.standard_error
+        monkeypatch.setattr(information_relaxation, "tabulate", wrong)
+        found = small.__wrapped__()
+        assert found.cost < right.cost - 3 * found.standard_error
 
 
 @pytest.mark.statistical
@@ -182,27 +185,46 @@ def test_a_biased_penalty_is_caught(small, monkeypatch):
         mean, found = central(self, states)
         return mean, {exponents: 0.7 * moment if sum(exponents) == 2 else moment for exponents, moment in found.items()}
 
-    right = small(intervals=200)
+    right = small()
     assert abs(right.bracket.mean() - right.driven) < 4.5 * math.hypot(standard_error(right.bracket), right.driven_error)
     monkeypatch.setattr(RoadMoments, "central", biased)
-    found = small(intervals=200)
+    found = small.__wrapped__()
     assert abs(found.bracket.mean() - found.driven) > 6 * math.hypot(standard_error(found.bracket), found.driven_error)
 
 
+@pytest.mark.parametrize("road", [roadgym.GaussianRoad(bandwidth=0.1), roadgym.MultiplicativeRoad.from_shape(shape=2.0)])
+def test_penalties_are_not_lost_to_rounding(road):
+    """From the centre to the edge, polynomials of no noise less their means stay of the order of 1.
+
+    Where the moments have lost their digits, the means are anything.
+    """
+    reach = math.sqrt(2 * (1 / road.shaping_filter().flatness + 1)) if road.shaping_filter().flatness else 4.0
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    radii = reach * np.array([0.0, 0.3, 0.9, 0.99, 0.999])[:, None]
+    before = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
+    for ratio in (0.5, 3.0):
+        moments = RoadMoments(road.shaping_filter(), ratio, INTERVAL, sum(DEGREES))
+        mean, _ = moments.central(before)
+        _, _, factor = NoisePolynomials(moments, *DEGREES)(before, mean)
+        assert np.abs(factor).max() < 10
+
+
 def test_results_do_not_depend_on_threads(small):
-    task, feedback = task_of(), feedback_of("multiplicative", (0.05, 1.0), RATIO)
-    found = [Relaxation(task, feedback, 0.01, 10, 0, threads, lambda done: None) for threads in (1, 2)]
+    task, feedback = task_of(), feedback_of("multiplicative", RANGE, RATIO)
+    found = [Relaxation(task, feedback, 0.2, 10, 0, threads, lambda done: None) for threads in (1, 2)]
     assert found[0].cost == found[1].cost
 
 
-def test_the_method_at_an_operating_point_of_a_task_with_ranges(small, tmp_path):
-    task = make_task(road="gaussian", speed=(1.0, 2.0), bandwidth=(0.05, 0.3))
+def test_the_method_at_an_operating_point_of_a_task_with_ranges(small, monkeypatch, tmp_path):
+    quick = functools.partial(analysis.optimal_feedback, refinements=1, precision=0.02)
+    monkeypatch.setattr(information_relaxation, "optimal_feedback", quick)
+    task = make_task(road="gaussian", speed=(1.0, 2.0), bandwidth=(0.05, 0.3), damping_range=RANGE)
     told = []
     found = information_relaxation.bound(
         task,
         1.5,
         0.1,
-        precision=0.01,
+        precision=0.5,
         intervals=20,
         cache=tmp_path,
         threads=1,

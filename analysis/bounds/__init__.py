@@ -69,7 +69,7 @@ METHODS: dict[str, Method] = {
         bound=information_relaxation.bound,
         quick=False,
         settings=("seed", "threads", "cache"),
-        revision=1,
+        revision=2,
     ),
 }
 PRESETS: Mapping[str, Callable[[Method], bool]] = MappingProxyType(

@@ -13,8 +13,8 @@ in stochastic dynamic programs", Operations Research 58, 2010). With M_k = h(x_{
 relative value h it would be the optimum.
 
 *The penalty.* h = h0 + w is that of the dynamic programming (`analysis.feedback`). For h0, a quadratic form, the conditional
-mean is exact. w is a table, and its mean after an interval is not known; but only *zero* mean matters. M_k interpolates w over
-the noise of the road about its mean, by polynomials less their conditional means, which are exact on these roads
+mean is exact. w is a table, and its mean after an interval is not known; but only *zero* mean matters. M_k expands w in
+the noise of the road about its mean, in polynomials less their conditional means, which are exact on these roads
 (`analysis.bounds.relaxation.moments`); the car's noise is taken as the linear function of the road's that it nearly is, and a
 linear term has the rest. The coefficients are values of w, which x_k and D_k determine. So the mean is zero for any table.
 
@@ -28,8 +28,8 @@ keeps the free start from leaving for where the table is worst, at little cost a
 *What is not exact.* The inner problem is solved on a grid, by linear interpolation of its small difference to h, for a few D in
 the range and parabolas between them. On some of the roads it is solved again with half the cells' sides and twice the D; what
 that lowers the bound by is charged, times 4/3 for what still finer ones would. It is assumed that leaving the grid, eight root
-mean squares of the car each way, does not pay. D is held over each interval; the roads are those of the plant, at a third of
-its substeps.
+mean squares of the car each way, does not pay. D is held over each interval; the roads are those of the plant with
+substeps a third as long.
 """
 
 from __future__ import annotations
@@ -58,12 +58,15 @@ from .relaxation.roads import Drives, RoadChain, levels, nearest
 VALUE_GRID = np.array([11, 32, 54])  # rings, rays and rows of w
 ROWS = 72  # of the inner problem's grid
 LEVELS = 17  # of D, all in the refined inner problems and every second one in the others
-GROUP, LEAST, MOST = 16, 32, 96  # roads: solved together, at least for the errors to be known, and at most
+GROUP, LEAST = 16, 32  # roads: solved together, and at least for the errors to be known
 REFINED = 8  # one road in so many is solved again
 CHARGE = 4 / 3  # times what a refinement changes, for errors that fall as the square of the step
 QUARTIC = 0.01  # of the cost of an interval: what h gives way by, at one root mean square of the car
 DRIVEN = 1 / 3  # of the precision asked for: that of the driven cost
-ASSUMPTION = "any controller that sets D once an interval; leaving eight root mean squares of the car does not pay"
+ASSUMPTION = (
+    "any controller that sets D once an interval; errors of the grid are estimated and charged; "
+    "leaving eight root mean squares of the car does not pay"
+)
 
 
 def refusal(task: Task) -> str | None:
@@ -97,7 +100,7 @@ def bound(
     Args:
         task: plant, weights, range of D and control interval.
         speed, bandwidth: the operating point, m/s and 1.
-        precision: relative standard error of the bound, at most; or what `MOST` roads give.
+        precision: standard error of the bound, at most, over the driven cost; roads are added until it is reached.
         intervals: control intervals on each road.
         seed: fixes the noise; the result depends on nothing else.
         threads: number of threads; results do not depend on it. By default one a processor.
@@ -113,9 +116,13 @@ def bound(
     precision, intervals = within("precision", precision, "relative_error"), whole("intervals", intervals)
     count = processors() if threads is None else whole("threads", threads, of="threads")
 
+    furthest = 0
+
     def told(done: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, min(int(100 * done), 99))  # the share of roads may fall, when one more tells of larger errors
         if report is not None:
-            report(min(int(100 * done), 99), 100)
+            report(furthest, 100)
 
     point = make_task(
         road=task.road.with_bandwidth(bandwidth),
@@ -208,7 +215,7 @@ class Relaxation:
                 told=lambda done: told(0.5 + 0.1 * done),
             )
             self.driven, self.driven_error = driven.cost, driven.standard_error
-            while len(self.gaps) < LEAST or (self.standard_error > precision * self.cost and len(self.gaps) < MOST):
+            while len(self.gaps) < LEAST or self.standard_error > precision * self.driven:
                 drives = Drives.over(
                     task,
                     dampings,
@@ -230,7 +237,8 @@ class Relaxation:
                 share(GROUP, solve)
                 self.bracket, self.gaps = np.append(self.bracket, bracket), np.append(self.gaps, gaps)
                 self.changes = np.append(self.changes, changes[np.isfinite(changes)])
-                told(0.6 + 0.4 * len(self.gaps) / MOST)
+                reached = (precision * self.driven / self.standard_error) ** 2
+                told(0.6 + 0.4 * min(len(self.gaps) / LEAST, reached, 1.0))
 
     def _solve(self, drives: Drives, path: int) -> tuple[float, float, float]:
         """(bracket, gap, change) of one road; the change is NaN where it is solved but once."""

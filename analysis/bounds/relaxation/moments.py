@@ -18,6 +18,8 @@ from ...checks import FloatArray
 
 Exponents = tuple[int, ...]
 
+ROUNDING = 1e-3  # of a polynomial of the noise: what rounding of its mean could be at most
+
 
 class RoadMoments:
     """Conditional moments of the states of a road after an interval, up to a degree.
@@ -84,40 +86,65 @@ class RoadMoments:
 
 
 class NoisePolynomials:
-    """Interpolation in the noise of a road of two states, the second driven: at a few points, by polynomials of mean zero.
+    """Expansion in the noise of a road of two states, the second driven: in polynomials of it whose mean is zero.
 
-    A function f of the road after an interval is, about its mean m, nearly the polynomial through its values at the points
-    m + offset_q, so f less its conditional mean nearly the sum of f(m + offset_q) times a ``factor`` each: Lagrange's
-    polynomial at the road that came less its exact conditional mean. The factors have conditional mean zero, whatever f is.
+    A function f of the road after an interval is, about its mean m, nearly a sum of products of Hermite's polynomials of the
+    noise, in standard deviations. Gauss's rule at the points m + offset_q gives the coefficients, sums of f(m + offset_q). So
+    f less its conditional mean is nearly the sum of f(m + offset_q) times a ``factor`` each: the polynomials at the road that
+    came, less their exact conditional means. The factors have conditional mean zero, whatever f is, and whatever law the
+    noise has.
+
+    Central moments of high degree lose their digits to rounding where there is little noise, as near the edge of a bounded
+    road. Products of which more than `ROUNDING` could be lost are left out; with little noise they matter little.
 
     Args:
         moments: of the road, up to the sum of both degrees at least.
-        along, across: nodes for the driven state, and for what of the other does not follow from it, in standard deviations.
+        along, across: even degrees for the driven state, and for what of the other does not follow from it.
     """
 
-    def __init__(self, moments: RoadMoments, along: FloatArray, across: FloatArray) -> None:
-        self._moments, self._nodes = moments, (along, across)
+    def __init__(self, moments: RoadMoments, along: int, across: int) -> None:
+        self._moments, self._bases = moments, (hermite(along), hermite(across))
 
     def __call__(self, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(mean, offset, factor) of steps from ``before`` to ``after``, shape (k, 2) both.
 
         Shapes (k, 2), (k, points, 2) and (k, points).
         """
+        (along, along_series, along_values), (across, across_series, across_values) = self._bases
         mean, moment = self._moments.central(before)
         slope = np.sqrt(np.maximum(moment[0, 2], 1e-24))
         follows = moment[1, 1] / slope**2
         level = np.sqrt(np.maximum(moment[2, 0] - follows * moment[1, 1], 1e-24))
-        along, across = self._nodes
         xi = (after[:, 1] - mean[:, 1]) / slope
         zeta = (after[:, 0] - mean[:, 0]) / level - follows * slope / level * xi
-        powers = np.empty((len(before), len(along), len(across)))
+        size = 2 * np.hypot(*before.T)
+        powers, kept = np.empty((2, len(before), len(along), len(across)))
         for i, k in np.ndindex(*powers.shape[1:]):
             terms = [math.comb(k, j) * (-follows) ** j * moment[k - j, i + j] for j in range(k + 1)]
             powers[:, i, k] = xi**i * zeta**k - np.sum(terms, axis=0) / (slope**i * level**k)
-        lagrange = [np.linalg.inv(np.vander(nodes, increasing=True)) for nodes in (along, across)]
-        factor = np.einsum("nij,ip,jq->npq", powers, *lagrange).reshape(len(before), -1)
+            kept[:, i, k] = np.finfo(float).eps * (size / slope) ** i * (size / level) ** k < ROUNDING
+        products = kept * np.einsum("nab,ia,kb->nik", powers, along_series, across_series, optimize=True)
+        factor = np.einsum("nik,pi,qk->npq", products, along_values, across_values, optimize=True).reshape(len(before), -1)
         first, second = (nodes.ravel() for nodes in np.meshgrid(along, across, indexing="ij"))
         offset = np.stack(
             [(follows * slope)[:, None] * first + level[:, None] * second, slope[:, None] * first + 0 * second], axis=2
         )
         return mean, offset, factor
+
+
+def hermite(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(nodes, series, values) of Hermite's polynomials of even ``degree`` and lower, orthonormal for Gaussian noise.
+
+    The nodes of Gauss's rule, the middle first, shape (degree + 1,); each polynomial's coefficients of the powers, shape
+    (polynomials, powers); what a value at a node adds to the expansion's coefficients, shape (nodes, polynomials).
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(degree + 1)
+    order = np.argsort(np.abs(nodes), kind="stable")
+    nodes, weights = nodes[order], weights[order] / weights.sum()
+    nodes[0] = 0.0
+    size = np.sqrt([math.factorial(k) for k in range(degree + 1)])
+    series = np.zeros((degree + 1, degree + 1))
+    for k, unit in enumerate(np.eye(degree + 1)):
+        series[k, : k + 1] = np.polynomial.hermite_e.herme2poly(unit)[: k + 1] / size[k]
+    values = weights[:, None] * np.polynomial.hermite_e.hermevander(nodes, degree) / size
+    return nodes, series, values

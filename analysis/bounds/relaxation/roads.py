@@ -18,17 +18,9 @@ from ...feedback.policy import OptimalFeedback
 from .inner import Chain, IndexArray, Steps
 from .moments import NoisePolynomials, RoadMoments
 
-# even degrees of the polynomials in the noise of the slope, and in what of the level's does not follow from it: where there is
-# little noise in an interval the lower ones do, and the tails of the others would only add variance
-DEGREES, FEWER, LITTLE = (8, 4), (6, 2), 0.2
+# even degrees of the polynomials in the noise of the slope, and in what of the level's does not follow from it
+DEGREES = (10, 2)
 FINER = 3  # substeps for each of the task's: the polynomials ask for more of the road's moments than a cost does
-
-
-def nodes(degree: int) -> FloatArray:
-    """Where noise of standard deviation 1 is interpolated: roots of Hermite's polynomial, the middle first."""
-    roots, _ = np.polynomial.hermite_e.hermegauss(degree + 1)
-    roots[degree // 2] = 0.0
-    return np.asarray(roots[np.argsort(np.abs(roots), kind="stable")])
 
 
 def levels(task: Task, count: int) -> FloatArray:
@@ -127,9 +119,8 @@ class RoadChain:
         assert road is not None
         ratio = float(task.frequency_ratio(task.speed[0]))
         interval = task.control_interval * task.car.natural_frequency
-        degrees = FEWER if ratio * interval * float(np.trace(road.noise @ road.noise.T)) < LITTLE else DEGREES
-        moments = RoadMoments(road, ratio, interval, sum(degrees))
-        self._polynomials = NoisePolynomials(moments, *map(nodes, degrees))
+        moments = RoadMoments(road, ratio, interval, sum(DEGREES))
+        self._polynomials = NoisePolynomials(moments, *DEGREES)
 
     def steps(self, road: FloatArray, added: FloatArray) -> Steps:
         """What one road does, from ``road``, shape (intervals + 1, 2), and ``added``, shape (intervals, dampings, 2)."""
