@@ -12,16 +12,16 @@ from typing import Any
 from analysis import LowerBound
 from analysis.bounds import METHODS
 from analysis.certificate import FALSE_ALARM_RATE, ROAD_TOLERANCE, wrapped
-from roadgym.parameters import ParameterError, shown
+from roadgym.parameters import ParameterError, shown, whole
 from roadgym.task import make_task
 
 from .certified import NONE, bound_cell, lower_bounds
 from .comparison import compare, observed_in_full
 from .controllers import make_controller
-from .evaluation import Predictor, make_points
+from .evaluation import FEWEST_EPISODES, Predictor, make_points
 from .names import title
 from .numerals import aligned, percent, with_error
-from .results import Comparison, Row, flat
+from .results import CONFIDENCE, Comparison, Row, flat
 from .units import in_si, place, weighted
 
 
@@ -86,8 +86,8 @@ class Optimality:
             said = f"{bound.rigour}, for {bound.assumption}" if isinstance(bound, LowerBound) else f"none, {bound}"
             text += wrapped(f"By {method}: {said}.")
         text += wrapped(
-            "certified: share, at least, of what any controller could save over the best constant D; in brackets the standard "
-            "error of the last digits."
+            "certified: share, at least, of what any controller could save over the best constant D, after ± its "
+            f"{100 * CONFIDENCE:g} % interval; in brackets the standard error of the last digits."
         )
         verdict = "no bound exceeds a driven cost" if known else "no lower bound is known"
         verdict = verdict if self.passed else "a bound EXCEEDS a driven cost: one of them is wrong"
@@ -137,7 +137,11 @@ def certify_optimality(
     for name in methods:
         if name not in METHODS:
             raise ParameterError(f"methods must be of {', '.join(METHODS)}, got {shown(name)}")
+    whole("seed", seed, low=0, of="seed")
+    whole("episodes", episodes, low=FEWEST_EPISODES)
     task = make_task(**observed_in_full(environment))
+    for name in controllers:  # all that can be wrong is told before the work
+        make_controller(name, task)
     points = make_points(task, [speed], [bandwidth])
     bounds = {name: lower_bounds(task, points, name, report)[0] for name in methods}
     known = {name: bound for name, bound in bounds.items() if isinstance(bound, LowerBound)}

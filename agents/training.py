@@ -128,7 +128,8 @@ def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = (), esti
     """The algorithm where none is named: "apg", or "ppo" where that cannot be.
 
     That is where hyperparameters are ``chosen``, which are those of "ppo"; with wrappers, which may pay for something else than
-    the cost; behind a valve; and behind sensors without an ``estimator``, or of which it makes more than one plain filter.
+    the cost; behind a valve; with cars that differ; and behind sensors without an ``estimator``, or of which it makes more than
+    one plain filter.
     """
     return "ppo" if chosen or wrappers or not is_differentiable(task, estimator) else "apg"
 
@@ -160,6 +161,10 @@ def make_model(
     if "noise_std" in hyperparameters:
         spread = non_negative("noise_std", hyperparameters["noise_std"])
         parameters["action_noise"] = NormalActionNoise(np.zeros(1), np.full(1, spread))
+    known = [name for name in inspect.signature(kind).parameters if name[0] != "_"]
+    for name in parameters:
+        if name not in known:
+            raise ParameterError(f"{algorithm} has no hyperparameter {name!r}; known: {', '.join(known)}")
     try:
         model = kind(
             policy,
@@ -170,6 +175,8 @@ def make_model(
             tensorboard_log=None if log is None else str(log),
             **parameters,
         )
+    except ParameterError:
+        raise
     except (TypeError, ValueError, AssertionError) as error:
         raise ParameterError(f"hyperparameters of {algorithm}: {' '.join(str(error).split())}") from None
     envs.seed(training_seed(seed, 0))

@@ -154,9 +154,9 @@ def make_variation(
         ParameterError: a field that is not there or no number, a range that is none, or that holds a value which car or valve
             refuse, or with which other signals are infinite.
     """
-    if vary is None:
+    if vary is None or vary == {}:
         return None
-    if not isinstance(vary, Mapping) or not vary:
+    if not isinstance(vary, Mapping):
         raise ParameterError(f"vary must be a mapping from fields of the car or of the valve to (low, high), got {shown(vary)}")
     if not car.is_its_motion:
         raise ParameterError(f"vary needs a car that is its motion alone, as every LinearCar is, got the {car.kind} car")
@@ -169,7 +169,7 @@ def make_variation(
             raise ParameterError(f"vary knows no field {shown(name)} of a number; known: {', '.join(known)}")
         if name in (*car.mean_squares, "damping", "speed", "bandwidth"):
             raise ParameterError(f"vary cannot tell the field {name!r} from the info of that name")
-        listed = isinstance(ends, Sequence) and not isinstance(ends, (str, bytes)) and len(ends) == 2
+        listed = isinstance(ends, (Sequence, np.ndarray)) and not isinstance(ends, (str, bytes)) and len(ends) == 2
         low, high = (
             (number(f"{end} end of vary {name}", value) for end, value in zip(("low", "high"), ends, strict=True))
             if listed

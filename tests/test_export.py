@@ -394,7 +394,8 @@ def test_table_command_tells_what_it_costs(ppo, tmp_path, capsys):
     options = ["--to", "table", "--output", str(tmp_path), "--speeds", "1.5", "--bandwidths", "0.1", "--episodes", "16"]
     assert main(["export", "--agent", str(ppo[0]), *options, "--signals", "travel", "velocity"]) == 0
     said = capsys.readouterr().out
-    assert re.match(r"travel and velocity explain \d+ % of the variance of the agent's damping; sharpened by", said)
+    assert max(map(len, said.splitlines())) <= 80
+    assert re.match(r"travel and velocity explain \d+ % of the variance of the agent's damping;\s+sharpened\s+by", said)
     assert re.search(r"^ +1\.5 +0\.1 +0\.98\d+ +\S+\(\d+\) +\S+\(\d+\) +\S+ \(\S+ to \S+\)$", said, re.M)
     assert re.search(r"the table costs \S+ \(\S+ to \S+\) of the agent's costs, on average\n$", said)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ppo_table.c", "ppo_table.csv", "ppo_table.h"]

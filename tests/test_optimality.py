@@ -73,8 +73,8 @@ def test_where_no_bound_is_known_the_reason_is_told(capsys):
     ("arguments", "message"),
     [
         (["--optimal", "--damping", "0.3"], "--damping cannot be given with --optimal, which finds the best one"),
-        (["--weights", "travel=1"], "--weights cannot be given without --optimal, which alone they matter for"),
-        (["--bandwidth", "0.2"], "--bandwidth cannot be given without --optimal, which alone they matter for"),
+        (["--weights", "travel=1"], "--weights cannot be given without --optimal"),
+        (["--bandwidth", "0.2"], "--bandwidth cannot be given without --optimal"),
         (["--optimal", *PLANT[:-2], "--methods", "guess"], "methods must be of matrix_inequality"),
         (["--optimal", "--weights", "comfort=1", *PLANT], "unknown reward term 'comfort'"),
         (["--optimal", "--road", "first_order", "--bandwidth", "0.2"], "bandwidth"),

@@ -248,3 +248,10 @@ def test_the_front_door_takes_it_and_progress_ends():
     assert found.cost <= analysis.lower_bound(task).cost
     assert seen == sorted(seen)
     assert seen[-1][0] == seen[-1][1]
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+def test_costs_that_the_damper_enters_are_bounded_for_a_damping_that_is_held_too(speed):
+    task = make_task(road="multiplicative", speed=speed, bandwidth=0.1, reward={"acceleration": 1.0})
+    held, moving = (sums_of_squares.certificate(task, speed, 0.1, degree=4, held=held).cost for held in (True, False))
+    assert moving < held < float(optimum(task, speed, 0.1).cost)

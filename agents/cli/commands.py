@@ -152,6 +152,7 @@ def run_tune(chosen: argparse.Namespace) -> None:
 
 def run_evaluate(chosen: argparse.Namespace) -> None:
     """``roadgym evaluate``."""
+    from analysis.certificate import wrapped
     from roadgym.task import make_task
 
     from ..agent import load
@@ -205,7 +206,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         cost = with_error(row["cost"], row["standard_error"])
         print(f"{row['speed']:9g}  {row['bandwidth']:9g}  {cost:>14}  {row['switches']:12.3f}")
     if result.control_variates:
-        print(adjusted_by(result.control_variates, result.balances))
+        print("\n".join(wrapped(adjusted_by(result.control_variates, result.balances))))
 
 
 def run_compare(chosen: argparse.Namespace) -> None:

@@ -118,7 +118,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
-    add_estimator(compare, "agents and classical controllers drive")
+    add_estimator(compare, "agents trained here, and classical controllers, drive")
     add_environment(compare)
 
     drive = _command(

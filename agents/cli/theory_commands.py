@@ -13,6 +13,7 @@ import numpy as np
 from roadgym import ParameterError
 from roadgym.cars import make_car
 from roadgym.installation import require
+from roadgym.parameters import whole
 
 from .options import refuse
 
@@ -33,7 +34,7 @@ def run_certify(chosen: argparse.Namespace) -> int:
         chosen.speed = float(np.mean(usual.get("speed", 1.0)))
     if chosen.optimal:
         return _certify_optimal(chosen, plant)
-    refuse(chosen, OPTIMAL, "without --optimal, which alone they matter for")
+    refuse(chosen, OPTIMAL, "without --optimal")
     driver = None
     if chosen.agent or chosen.controller:
         driver, plant = _driver(chosen, plant)
@@ -57,6 +58,7 @@ def _certify_optimal(chosen: argparse.Namespace, plant: dict[str, Any]) -> int:
 
     from ..agent import load
     from ..comparison import observed_in_full
+    from ..evaluation import FEWEST_EPISODES
     from ..optimality import certify_optimality
     from ..progress import work_progress
 
@@ -70,6 +72,7 @@ def _certify_optimal(chosen: argparse.Namespace, plant: dict[str, Any]) -> int:
         given = {"reward": chosen.environment_reward, "damping_range": chosen.environment_damping_range, "speed": chosen.speed}
         environment = {**plant, **given, "bandwidth": chosen.bandwidth}
     task = make_task(**observed_in_full(environment))
+    episodes = whole("lanes", chosen.lanes, low=FEWEST_EPISODES) if "lanes" in chosen.given else 1024
     with work_progress() as report:
         found = certify_optimality(
             agent,
@@ -78,7 +81,7 @@ def _certify_optimal(chosen: argparse.Namespace, plant: dict[str, Any]) -> int:
             bandwidth=sum(task.bandwidth) / 2 if chosen.bandwidth is None else chosen.bandwidth,
             controllers=[chosen.controller] if chosen.controller else [],
             methods=chosen.methods,
-            episodes=chosen.lanes if "lanes" in chosen.given else 1024,
+            episodes=episodes,
             seed=chosen.seed,
             report=report,
         )

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import roadgym
+from analysis.certificate import wrapped
 from roadgym.parameters import ParameterError
 from roadgym.reward import divergent_terms
 from roadgym.task import Task
@@ -317,16 +318,16 @@ def told(result: Tabulated) -> str:
     table, evaluations = result.table, result.evaluations
     agent, own = evaluations["agent"], evaluations["table"]
     first, second, _ = table.task.signals
-    lines = [
+    lines = wrapped(
         f"{first} and {second} explain {100 * result.explained:.0f} % of the variance of the agent's damping; "
-        f"sharpened by {', '.join(f'{factor:g}' for factor in result.factors)}",
-        "speed m/s  bandwidth  best constant D           agent           table  table over agent",
-    ]
+        f"sharpened by {', '.join(f'{factor:g}' for factor in result.factors)}"
+    )
+    lines.append("speed  bandwidth  best D        agent        table  table over agent")
     for k, point in enumerate(agent.points):
         best = optimum(table.task, point.speed, point.bandwidth).cost
-        costs = "".join(f"{with_error(each.mean[k], each.standard_error[k]):>16}" for each in (agent, own))
+        costs = "".join(f"{with_error(each.mean[k], each.standard_error[k]):>13}" for each in (agent, own))
         share = loss(own, agent, slice(k, k + 1))
-        lines.append(f"{point.speed:9g}  {point.bandwidth:9g}  {best:15.4f}{costs}  {interval(share)}")
+        lines.append(f"{point.speed:5g}  {point.bandwidth:9g}  {best:6.4f}{costs}  {interval(share)}")
     return "\n".join([*lines, f"the table costs {interval(result.loss)} of the agent's costs, on average"])
 
 

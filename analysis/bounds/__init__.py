@@ -61,7 +61,7 @@ class Method:
 METHODS: dict[str, Method] = {
     "matrix_inequality": Method(title="a matrix inequality", refusal=matrix_inequality.refusal, bound=matrix_inequality.bound),
     "sums_of_squares": Method(
-        title="sums of squares", refusal=sums_of_squares.refusal, bound=sums_of_squares.bound, revision=1
+        title="sums of squares", refusal=sums_of_squares.refusal, bound=sums_of_squares.bound, revision=2
     ),
     "information_relaxation": Method(
         title="information relaxation",

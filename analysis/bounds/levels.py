@@ -61,12 +61,16 @@ class Levels:
         apart = np.stack([self._mean(place, start) for place in places]) - _bernstein(order, t) @ control
         # and the same function beyond its interpolation at the nodes, see Trefethen, theorem 8.2
         most_t = [(1 + (abs(1 - self._centre) + math.exp(self._decay * reach)) / self._width) / 2 for reach in self._reaches()]
-        norms = [float(abs(term).sum(axis=0).max()) for term in self._terms]
+        columns = [np.asarray(abs(term).sum(axis=0)).ravel() for term in self._terms]  # the last is that of the cost
+        polynomial, rest = float(np.abs(start[:-1]).sum()), abs(float(start[-1]))
         tail = math.inf
         for ellipse, t_size in zip(ELLIPSES, most_t, strict=True):
             axis = (ellipse + 1 / ellipse) / 2
-            growth = self._interval * sum(norm * axis**power for power, norm in enumerate(norms))
-            whole = math.log(float(np.abs(start).sum())) + growth
+            growth, added = (
+                self._interval * sum(axis**power * norm for power, norm in enumerate(norms))
+                for norms in ([each[:-1].max() for each in columns], [each[-1] for each in columns])
+            )
+            whole = math.log(polynomial + rest * added + rest) + growth  # by variation of constants
             left_out = math.log(max(float(np.abs(control).max()), 1e-300)) + order * math.log(2 * t_size)
             tail = min(tail, np.logaddexp(whole, left_out) + math.log(4 / (ellipse - 1)) - NODES * math.log(ellipse))
         return np.asarray(np.abs(_chebyshev(apart)).sum(axis=0) + math.exp(min(tail, 700.0)))

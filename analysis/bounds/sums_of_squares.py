@@ -115,7 +115,7 @@ def bound(
         speed: m/s.
         bandwidth: 1; 0 where the road has none.
         degree: of V, even, 2 to `HIGHEST`; the higher the tighter, and slower. By default `USUAL`, or less where that has more
-            than `LARGEST` monomials.
+            than `LARGEST` monomials, or where rounding is too large to prove that of the higher one.
         held: does D keep its value within each interval? By default as the task's valve says. Where it does not, only the bound
             for any D is sought, which else is one of two; the other is sought where the damper does much in an interval.
         report: called as ``report(done, in all)``.
@@ -140,7 +140,9 @@ def bound(
             if form is forms[-1] and not found:
                 raise
     best = max(found, key=lambda each: each.cost)
-    return LowerBound(cost=best.cost, method="sums_of_squares", assumption=HELD if best.held else MOVING, rigour=SOLVED)
+    return LowerBound(
+        cost=max(best.cost, 0.0), method="sums_of_squares", assumption=HELD if best.held else MOVING, rigour=SOLVED
+    )
 
 
 def _told(report: Callable[[int, int], None], turn: int, turns: int, done: int, total: int) -> None:
@@ -161,15 +163,14 @@ def certificate(
     if reason is not None:
         raise ParameterError(f"there is no lower bound by sums of squares: {reason}")
     plant = _Plant(task, speed, bandwidth)
-    if degree is None:
-        degree = plant.usual_degree()
-    elif whole("degree", degree, low=2) % 2 or degree > HIGHEST:
+    if degree is not None and (whole("degree", degree, low=2) % 2 or degree > HIGHEST):
         raise ParameterError(f"degree must be even and at most {HIGHEST}, got {shown(degree)}")
-    conditions: _Conditions = _HeldConditions(plant, degree) if held else _MovingConditions(plant, degree)
-    for margin in MARGINS:
-        found = conditions.solved(margin, report)
-        if found.least_eigenvalue > 0:
-            return found
+    for tried in range(plant.usual_degree(), 1, -2) if degree is None else [degree]:
+        conditions: _Conditions = _HeldConditions(plant, tried) if held else _MovingConditions(plant, tried)
+        for margin in MARGINS:
+            found = conditions.solved(margin, report)
+            if found.least_eigenvalue > 0:
+                return found
     raise ParameterError("there is no lower bound by sums of squares: what must be charged is too much to prove it")
 
 
