@@ -5,7 +5,7 @@ from __future__ import annotations
 from analysis.quadratic import advantage_forms, has_quadratic_value
 from roadgym.task import OPERATING_POINT, Task
 
-__all__ = ["advantage_forms", "has_advantage", "operating_point", "state_of"]
+__all__ = ["advantage_forms", "has_advantage", "is_differentiable", "operating_point", "state_of"]
 
 ROAD_STATES = {"level", "slope"}  # those of a road that the environments tell
 
@@ -19,6 +19,21 @@ def state_of(task: Task) -> tuple[str, ...]:
 def operating_point(task: Task) -> tuple[str, ...]:
     """Names of what makes an operating point of ``task``: the speed, and the bandwidth on a road that has one."""
     return OPERATING_POINT if task.bandwidth[1] > 0 else OPERATING_POINT[:1]
+
+
+def is_differentiable(task: Task, estimator: str | None = None) -> bool:
+    """Can a policy be differentiated through the plant?
+
+    That is where cars are alike, the command is in force at once, and what is seen is what there is; or an ``estimator`` makes
+    one filter a car of sensors that tell at once and have no biases, where the operating point is known.
+    """
+    if not task.ideal_valve or task.vary is not None:
+        return False
+    if estimator is None:
+        return not task.real_sensors
+    known = {"speed": task.speed[0] == task.speed[1], "bandwidth": task.bandwidth[0] == task.bandwidth[1]}
+    at_once = all(sensor.delay == sensor.interval == sensor.bias == 0 for sensor in task.real_sensors.values())
+    return at_once and all(known[name] or name in task.signals for name in OPERATING_POINT)
 
 
 def has_advantage(task: Task) -> bool:

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 ALGORITHMS = {
+    "apg": "agents.analytic_gradient.APG",
     "ppo": "stable_baselines3.PPO",
     "sac": "stable_baselines3.SAC",
     "td3": "stable_baselines3.TD3",
@@ -79,7 +80,7 @@ def algorithm_class(algorithm: str) -> type[BaseAlgorithm]:
     """
     if algorithm not in ALGORITHMS:
         raise ParameterError(f"unknown algorithm {algorithm!r}; known: {', '.join(ALGORITHMS)}")
-    module, _, name = ALGORITHMS[algorithm].partition(".")
+    module, _, name = ALGORITHMS[algorithm].rpartition(".")
     found: type[BaseAlgorithm] = getattr(require(module, "recurrent" if module == "sb3_contrib" else "train"), name)
     return found
 

@@ -268,7 +268,8 @@ def evaluate(
     lasts = 300 / w1 if duration is None else positive("duration", duration)
     # what has no noise remembers its start as long as the car does
     repeats = task.road.lines is not None or task.road.periodic is not None
-    forgotten = (10 if repeats else 5) / (min(map(task.car.decay, task.damping_range)) * w1)
+    slowest = min(car.decay(firmer * end) * car.natural_frequency for car, firmer in task.cars for end in task.damping_range)
+    forgotten = (10 if repeats else 5) / slowest
     skips = max(forgotten, least_transient(task)) if transient is None else non_negative("transient", transient)
     measured, skipped = round(lasts / task.control_interval), round(skips / task.control_interval)
     if measured < 1:
@@ -279,7 +280,7 @@ def evaluate(
     observed = dict.fromkeys(signal for controller in everyone for signal in observed_by(controller, task))
     constants = control_dampings(task, skipped * task.control_interval, episodes)
     # balances need as long a start to be forgotten, and a damping that keeps its value in each interval
-    steady = bool(constants) and task.valve.is_still(task.control_interval)
+    steady = bool(constants) and task.holds_damping
     known = balances(task, len(constants), episodes) if steady else []
     more = rows_of(known)
     plant = {**environment, "observation": list(observed), "reward": task.reward_by_name}

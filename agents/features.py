@@ -128,13 +128,13 @@ class Lookahead:
         """Both, shape (n, 2)."""
         points = observations[:, self.point]
         if not np.array_equal(points, self._points):  # within an episode the operating point stays
-            self._points, self._forms = points, self._interpolate(points)
+            self._points, self._forms = points, self.forms(points)
         state = observations[:, self.columns]
         monomials = np.ones((len(state), len(self.first) + 1), np.float32)
         np.multiply(state[:, self.first], state[:, self.second], out=monomials[:, :-1])
         return np.asarray((self._forms @ monomials[:, :, None])[:, :, 0])
 
-    def _interpolate(self, points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def forms(self, points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """The forms at observed operating points, shape (n, 2, monomials)."""
         place = self.grid.place(np.pad(points, [(0, 0), (0, 2 - points.shape[1])]))  # no bandwidth is one of 0
         node = np.minimum(place.astype(np.intp), NODES - 2)

@@ -55,6 +55,24 @@ def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
         yield show
 
 
+class Stopwatch:
+    """How long the parts of a work take, on the clock."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._begin = time.monotonic()
+
+    def note(self, part: str) -> None:
+        """Count the time since the last note, or the start, as that of ``part``."""
+        now = time.monotonic()
+        self.seconds[part] = self.seconds.get(part, 0.0) + now - self._begin
+        self._begin = now
+
+    def __str__(self) -> str:
+        parts = ", ".join(f"{part} {seconds:.1f}" for part, seconds in self.seconds.items())
+        return f"{sum(self.seconds.values()):.1f} s: {parts}"
+
+
 @contextlib.contextmanager
 def training_progress() -> Iterator[Callable[[int, int, float | None], None]]:
     """A report for `agents.train`."""

@@ -67,9 +67,15 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
     if measured := comparison.configuration.get("measured"):
         what = f"drives by the mean of a Kalman filter, to which sensors tell {', '.join(measured)}."
         found.append((FILTERED.removeprefix(", "), what))
-    if not task.valve.ideal:
+    if not task.ideal_valve:
         theory = "the best constant D, theory and the optimal feedback are those of an ideal valve; driven, all have this one."
         found.append(("valve", theory))
+    if task.vary is not None:
+        fields = ", ".join(f"{name} within {low:g} to {high:g}" for name, low, high in task.vary.ranges)
+        theory = (
+            "the best constant D, rules and the optimal feedback know the nominal car alone; theory tells nothing of the mean."
+        )
+        found.append(("cars", f"each episode has its own, {fields}, the same for every controller; {theory}"))
     for name, chosen in comparison.configuration.get("parameters", {}).items():
         values = ", ".join(f"{parameter} = {value:g}" for parameter, value in chosen.items())
         found.append((title(name), f"{values}, which cost least of those tried in the middle of the plant's range."))
@@ -136,6 +142,7 @@ def theory_given(agent: Predictor) -> str | None:
     reward = {
         "advantage": "theory's advantage over the best constant damping, made from the full state whatever it observes",
         "cost": "the cost",
+        "gradient": "the cost, differentiated through the plant, with a constant damping's value for what comes after",
     }.get(agent.description.get("training_reward", ""))
     if reward is None:  # of an agent that was trained before this was noted
         return None

@@ -19,6 +19,7 @@ from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
+from .advantage import is_differentiable
 from .agent import (
     ALGORITHMS,
     CONTENT,
@@ -96,6 +97,7 @@ __all__ = [  # with names that live in `agents.agent` and `agents.records`
     "train",
     "training_reward",
     "training_seed",
+    "usual_algorithm",
     "versions",
     "write_atomically",
 ]
@@ -120,6 +122,15 @@ def check_seed(seed: int) -> None:
     """Raise `ParameterError` unless a training can have this seed."""
     if whole("seed", seed, low=0) > LARGEST_SEED:
         raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
+
+
+def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = (), estimator: str | None = None) -> str:
+    """The algorithm where none is named: "apg", or "ppo" where that cannot be.
+
+    That is where hyperparameters are ``chosen``, which are those of "ppo"; with wrappers, which may pay for something else than
+    the cost; behind a valve; and behind sensors without an ``estimator``, or of which it makes more than one plain filter.
+    """
+    return "ppo" if chosen or wrappers or not is_differentiable(task, estimator) else "apg"
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -261,7 +272,7 @@ def train(
 
     Args:
         folder: the agent's folder; must not hold an agent yet, unless ``resume``.
-        algorithm: a key of `ALGORITHMS`; "ppo" by default.
+        algorithm: a key of `ALGORITHMS`; by default that of `usual_algorithm`.
         environment: parameters of the environment; by default the bounded road over a range of speeds and bandwidths.
         hyperparameters: by default those of the algorithm's YAML file.
         seed: fixes roads, weights and exploration; not negative, 0 by default.
@@ -308,17 +319,21 @@ def train(
             raise ParameterError(f"timesteps must be at least the {known} of the agent in {str(path)!r}, got {timesteps}")
     else:
         _refuse_agent(path)
-        algorithm, seed = "ppo" if algorithm is None else algorithm, 0 if seed is None else seed
+        environment = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
+        task, seed = make_task(**environment), 0 if seed is None else seed
+        algorithm = usual_algorithm(task, hyperparameters is not None, names) if algorithm is None else algorithm
         hyperparameters = load_hyperparameters(algorithm) if hyperparameters is None else hyperparameters
         hyperparameters = with_wrappers(hyperparameters, names)
-        environment = lasting(DEFAULT_ENVIRONMENT if environment is None else environment)
-        task = make_task(**environment)
         description = {
             "format": FORMAT,
             "algorithm": algorithm,
             "environment": environment,
             "hyperparameters": complete(hyperparameters),
-            "training_reward": training_reward(hyperparameters.get("training_reward", "cost"), task),
+            "training_reward": getattr(
+                algorithm_class(algorithm),
+                "learns_from",
+                training_reward(hyperparameters.get("training_reward", "cost"), task),
+            ),
             "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),

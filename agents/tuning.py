@@ -59,6 +59,13 @@ _OFF_POLICY = _COMMON | {
     "gradient_steps": [1, 2, 4],
 }
 SEARCH_SPACES: dict[str, dict[str, Any]] = {
+    "apg": {
+        "learning_rate": (1e-3, 1e-2),
+        "net_arch": _COMMON["net_arch"],
+        "horizon": [16, 32, 48, 64],
+        "gradient_steps": [4, 8, 16],
+        "noise": (0.03, 0.3),
+    },
     "ppo": _PROXIMAL,
     "sac": _OFF_POLICY | {"ent_coef": (1e-4, 3e-2)},
     "td3": _OFF_POLICY | {"noise_std": (0.1, 1.0)},

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from roadgym import ENVIRONMENT_ID
@@ -21,7 +21,7 @@ from roadgym.moved import moved
 from roadgym.parameters import ParameterError, shown
 from roadgym.task import TaskParameters
 from roadgym.vector import QuarterCarVectorEnv
-from roadgym.wrappers import KalmanObservation
+from roadgym.wrappers import KalmanObservation, VectorKalmanObservation
 
 from .actions import damping_from_action as damping_from_action
 from .features import Sight as Sight
@@ -31,6 +31,8 @@ with needs("train"):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 
+if TYPE_CHECKING:
+    from .differentiable import DrivenRoads
 if not TYPE_CHECKING:
     __getattr__ = moved(__name__, action_space="agents.actions")
 
@@ -81,6 +83,14 @@ def _each(info: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The infos of a batch as plain dictionaries, one of each environment."""
     names = tuple(name for name in info if "_" + name in info and name[:6] != "final_")
     return _dictionaries(names)(zip(*[info[name].tolist() for name in names], strict=True))
+
+
+def layers(batch: Any) -> Iterator[Any]:
+    """The wrappers of a batch from the outermost on, and itself."""
+    while isinstance(batch, VectorWrapper):
+        yield batch
+        batch = batch.env
+    yield batch
 
 
 class QuarterCarVecEnv(VecEnv):
@@ -140,6 +150,8 @@ class QuarterCarVecEnv(VecEnv):
         )
         self.task = task_of(learned)
         self._batch, _ = wrap(learned, wrappers)
+        self._seen, self._wrappers = (features, frame_stack), wrappers
+        self._estimator = next((layer for layer in layers(learned) if isinstance(layer, VectorKalmanObservation)), None)
         super().__init__(num_envs, self._batch.single_observation_space, self._batch.single_action_space)
         self.metadata |= {"render_fps": self.envs.metadata["render_fps"]}
         self._actions: npt.NDArray[Any] = np.zeros((num_envs, 1), np.float32)
@@ -188,6 +200,22 @@ class QuarterCarVecEnv(VecEnv):
         self._returns[:] = 0
         self._lengths[:] = 0
         return np.asarray(observations)
+
+    def driven_roads(self, steps: int) -> DrivenRoads:
+        """What records ``steps`` control intervals for a gradient through the plant, of `road_and_car` before each.
+
+        Raises:
+            ParameterError: what `agents.differentiable.DrivenRoads` refuses, or wrappers, which could pay for something else.
+        """
+        from .differentiable import DrivenRoads
+
+        if self._wrappers:
+            raise ParameterError(f"wrappers must be none for a gradient through the plant, got {', '.join(self._wrappers)}")
+        return DrivenRoads(self.envs.task, Sight(self.task, *self._seen), self.num_envs, steps, self._estimator)
+
+    def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """The states of `roadgym.vector.QuarterCarVectorEnv.state`, and the rate of the road's angle over w1 now."""
+        return self.envs.state(), self.envs.plant.row("rate").astype(float)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions, shape (num_envs, 1), or (num_envs,) where they are levels, for `step_wait`."""

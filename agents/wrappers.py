@@ -58,7 +58,7 @@ def training_reward(chosen: Any, task: Task) -> str:
     """
     if chosen not in ("cost", "advantage"):
         raise ParameterError(f'training_reward must be "cost" or "advantage", got {chosen!r}')
-    return chosen if has_advantage(task) and task.valve.ideal else "cost"
+    return chosen if has_advantage(task) and task.ideal_valve and task.vary is None else "cost"
 
 
 @overload
@@ -414,9 +414,9 @@ class VectorAdvantageReward(EpisodeWrapper):
 def _with_advantage(env: Environment | Batch) -> Task:
     """The task, which must have an advantage."""
     task = task_of(env)
-    if not (has_advantage(task) and task.valve.ideal):
+    if not (has_advantage(task) and task.ideal_valve and task.vary is None):
         raise ParameterError(
-            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed, and an "
-            "ideal valve"
+            "env must be of a plant whose advantage theory knows: a first- or second-order road at a constant speed, an "
+            "ideal valve, and one car"
         )
     return task

@@ -73,8 +73,8 @@ def certify(
         seed: fixes the noise.
         lanes: independent cars at each speed; standard errors fall as its root.
         driver: a controller for this plant, whose task tells its control interval, its range of D and what it observes, through
-            sensors if it has some; the plant is certified under its rule too. A valve is left out: what theory tells of a rule
-            is for a D that keeps its value in each interval.
+            sensors if it has some; the plant is certified under its rule too. A valve is left out, and so is what varies: what
+            theory tells of a rule is of one car, and for a D that keeps its value in each interval.
         report: called as ``report(what, intervals done, intervals in all)`` now and then.
 
     Returns:

@@ -23,8 +23,8 @@ What the exact means must be worth:
   that say nearly the same could have large coefficients of either sign, which would blow that bias up; so the regression has a
   penalty that weighs b_i times the bias against the noise, and leaves alone what has no more noise than bias. The adjusted mean
   is good to about 1e-4, however small its standard error is.
-- *Theory.* Only exact mean squares serve: none under noise on the speed of a random road, and none on an ellipse, whose
-  variance, the unit of all costs, is itself simulated.
+- *Theory.* Only exact mean squares serve: none under noise on the speed of a random road, none on an ellipse, whose variance,
+  the unit of all costs, is itself simulated, and none of cars that differ from episode to episode.
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ def control_dampings(task: Task, transient: float, samples: int) -> tuple[float,
     low, high = task.damping_range
     high = min(high, HIGHEST)
     simulated = needs_simulation(task.road, task.speed_noise, task.car) or task.road.variance_standard_error > 0
+    simulated = simulated or task.vary is not None
     if not has_closed_form(task.road, task.car):
         known = RANGES["linear frequency ratio"]
         simulated = simulated or not all(known.low <= task.frequency_ratio(speed) <= known.high for speed in task.speed)

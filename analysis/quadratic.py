@@ -25,6 +25,7 @@ from roadgym.task import Task
 
 from .checks import FloatArray
 
+PRICE = 0.01  # of the square of an active force, over the sum of the weights
 LARGEST_STEP = 0.08  # of the fastest rate times a step of fourth order; the error of a step is about its fifth power over 120
 
 
@@ -159,6 +160,16 @@ def regulator(system: LinearSystem, weights: Mapping[str, float], price: float) 
         square = square + weight * system.force[name] ** 2
     value = solve_continuous_are(system.drift, entry, system.cost_form(weights), square, s=cross)
     return np.linalg.solve(square, entry.T @ value + cross.T)[0], np.asarray(value)
+
+
+def active_force(task: Task, ratio: float, bandwidth: float) -> tuple[FloatArray, FloatArray]:
+    """(gain, value) of `regulator` at an operating point of ``task``, in units of time 1/w1.
+
+    The force pays with a hundredth of its mean square times the sum of the weights: without that the one for displacement or
+    acceleration alone has no optimum.
+    """
+    weights = task.weights_by_name
+    return regulator(plant_system(task, 0.0, ratio, bandwidth), weights, PRICE * sum(weights.values()))
 
 
 def regulator_gain(system: LinearSystem, weights: Mapping[str, float], price: float) -> FloatArray:

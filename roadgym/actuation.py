@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from .compiled import DAMPING, LANES, SHARE, compiled, like, pointer
-from .signals import COMMAND, MEAN, add_row, clip, row_of, square_row, valve_work, write_smooth
+from .signals import COMMAND, MEAN, add_row, clip, own_factor, row_of, square_row, valve_work, write_own, write_smooth
 
 # rows of the valve in a block: D in force, its target, and the commands that wait, the newest first
 IN_FORCE, TARGET, WAITING = 0 * LANES, 1 * LANES, 2 * LANES
+LATE, PART, FASTEST, RISE, FALL = (k * LANES for k in range(5))  # rows of the numbers of a valve where each lane has its own
 # rows in ``work`` after those that `roadgym.signals` names: D's variance in a substep, what that adds to squares, the relative
 # velocity, and the mean squares of the interval so far
 SPREAD, GAIN, RELATIVE, TOTALS = (k * LANES for k in range(2, 6))
@@ -120,24 +121,25 @@ def take_commands(plant: Any, lanes: Any, work: Any) -> None:
 def open_substep(plant: Any, lanes: Any, work: Any, k: int) -> None:
     """Move the valve through substep ``k``: the damping of each lane is its mean over that."""
     rows, own = row_of(lanes, plant.valve_row), row_of(work, valve_work(plant))
-    newer, older = WAITING + plant.valve_late * LANES, WAITING + (plant.valve_late + 1) * LANES
-    time = plant.substep
-    until = min(max(plant.valve_part * plant.substeps - k, 0.0), 1.0) * time  # at which the newer command arrives
+    newer, time = WAITING + plant.valve_late * LANES, plant.substep
+    part, rate, rise, fall = plant.valve_part, plant.valve_rate, plant.valve_rise, plant.valve_fall
+    numbers = row_of(lanes, plant.own_valve)
     low, high = like(lanes, plant.damping_low), like(lanes, plant.damping_high)
     work[SHARE] = pointer(plant.valve_shares, 0.0)[2 * k]
     for i in range(LANES):
         value, target = np.float64(rows[IN_FORCE + i]), np.float64(rows[TARGET + i])
         area, square = 0.0, 0.0
+        if plant.own_valve:
+            newer = WAITING + np.int64(numbers[LATE + i]) * LANES
+            part, rate = np.float64(numbers[PART + i]), np.float64(numbers[FASTEST + i])
+            rise, fall = np.float64(numbers[RISE + i]), np.float64(numbers[FALL + i])
+        until = min(max(part * plant.substeps - k, 0.0), 1.0) * time  # at which the newer command arrives
         if until > 0:
-            level = np.float64(rows[older + i])
-            value, target, area, square = driven(
-                value, target, level, until, plant.valve_rate, plant.valve_rise, plant.valve_fall
-            )
+            level = np.float64(rows[newer + LANES + i])
+            value, target, area, square = driven(value, target, level, until, rate, rise, fall)
         if until < time:
             level = np.float64(rows[newer + i])
-            value, target, rest, more = driven(
-                value, target, level, time - until, plant.valve_rate, plant.valve_rise, plant.valve_fall
-            )
+            value, target, rest, more = driven(value, target, level, time - until, rate, rise, fall)
             area, square = area + rest, square + more
         mean = area / time
         rows[IN_FORCE + i], rows[TARGET + i] = clip(like(lanes, value), low, high), like(lanes, target)
@@ -152,7 +154,11 @@ def open_substep(plant: Any, lanes: Any, work: Any, k: int) -> None:
 def add_gain(plant: Any, lanes: Any, work: Any) -> None:
     """Add what the spread of D adds to the square of the damper's force now, 4 s^2 rv^2, with the share of this instant."""
     own = row_of(work, valve_work(plant))
-    write_smooth(plant, lanes, plant.relative, row_of(work, valve_work(plant) + RELATIVE))
+    relative = row_of(work, valve_work(plant) + RELATIVE)
+    if plant.own_signals:
+        write_own(plant, lanes, plant.relative, relative)
+    else:
+        write_smooth(plant, lanes, plant.relative, relative)
     share = like(lanes, 4.0) * work[SHARE]
     for i in range(LANES):
         own[GAIN + i] += share * own[SPREAD + i] * own[RELATIVE + i] * own[RELATIVE + i]
@@ -167,8 +173,12 @@ def close_substep(plant: Any, lanes: Any, work: Any, k: int) -> None:
         total = row_of(work, valve_work(plant) + TOTALS + signal * LANES)
         squares = row_of(work, square_row(plant, signal))
         add_row(total, squares, like(lanes, 1.0), k == 0)
+        if plant.own_signals:
+            own, gain = own_factor(plant, lanes, signal, plant.states + 2), row_of(work, valve_work(plant) + GAIN)
+            for i in range(LANES):
+                total[i] += own[i] * own[i] * gain[i]
         force = like(lanes, factors[signal * (plant.states + 3) + plant.states + 2])
-        if force != 0:
+        if force != 0 and not plant.own_signals:
             add_row(total, row_of(work, valve_work(plant) + GAIN), force * force, False)
         if k == plant.substeps - 1:
             add_row(squares, total, like(lanes, 1.0), True)

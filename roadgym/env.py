@@ -101,7 +101,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         self.signal_scale = self.task.signal_scale
         self.plant = Plant(self.task, 1, threads=1, told=True)
         self._mask, self._has_bandwidth = np.ones(1, np.bool_), self.task.bandwidth[1] > 0
-        self._names, self._valve = self.task.car.mean_squares, not self.task.valve.ideal
+        self._names, self._valve = self.task.car.mean_squares, not self.task.ideal_valve
+        self._fields = () if self.task.vary is None else self.task.vary.names
         self.history: History | None = None
         self._picture: Picture | None = None
         self._window: Window | None = None
@@ -133,6 +134,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
             info["damping_command"] = 0.0
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
+        if self._fields:
+            info.update(zip(self._fields, self.plant.drawn[:, 0].tolist(), strict=True))
         return began.observations[0], info
 
     def state(self) -> npt.NDArray[np.float64]:
@@ -155,6 +158,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
         info["speed"] = speed
         if self._has_bandwidth:
             info["bandwidth"] = bandwidth
+        if self._fields:
+            info.update(zip(self._fields, self.plant.drawn[:, 0].tolist(), strict=True))
         if self.render_mode == "human":
             self.render()
         return interval.observations[0], reward, False, False, info

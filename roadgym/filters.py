@@ -97,11 +97,36 @@ def filtered(motion: Motion, name: str, symbol: str, chosen: SignalFilter) -> Mo
     )
 
 
+def filter_sources(motion: Motion, name: str, substep: float) -> FloatArray:
+    """What D makes of the source of a filter: coefficients of (1, D, D^2) of g, G h/12, k and l + c e, shape (3, 2 n + 4).
+
+    Args:
+        motion: the equations, of n states without filters.
+        name: of the source.
+        substep: in units of 1/w1.
+    """
+    own = motion.own
+    size, places = len(own.states), {signal: k for k, signal in enumerate(own.signals)}
+    relative = own.rows[places[own.relative]]
+    states = np.column_stack([own.drift, own.level_entry, own.slope_entry])  # what states, level and its rate add to dq/dt
+    damper = -2 * np.outer(own.force_entry, relative[:-1])  # and D times them
+    source = own.rows[places[name]]
+    firm = 2 * source[-1] * relative[:-1]
+    signal = (source[:-1], firm, 0 * firm)  # of (q, Z, dZ/dt), in powers of D
+    rate = (source[:size] @ states, firm[:size] @ states + source[:size] @ damper, firm[:size] @ damper)
+    polynomial = np.zeros((3, 2 * size + 4))
+    for power, (rows, rates) in enumerate(zip(signal, rate, strict=True)):
+        polynomial[power, : size + 1] = rows[: size + 1]
+        polynomial[power, size + 1 : 2 * size + 2] = rates[: size + 1] * (substep / 12)
+        polynomial[power, 2 * size + 2] = rows[size + 1]
+        polynomial[power, 2 * size + 3] = rows[size] + rates[size + 1]
+    return polynomial
+
+
 def filter_table(motion: Motion, substep: float) -> FloatArray:
     """Constants for `roadgym.signals.advance_filters`: of each filter a count, then two parts.
 
-    They are its number of sections; what D makes of the source, coefficients of (1, D, D^2) of g, G h/12, k and l + c e, a
-    row of 2 n + 4 each for the n states of the car; and for each section E, P, Q and (E - I) B.
+    They are its number of sections; `filter_sources`, one after the other; and for each section E, P, Q and (E - I) B.
 
     Args:
         motion: the equations with their filters.
@@ -111,23 +136,9 @@ def filter_table(motion: Motion, substep: float) -> FloatArray:
         return np.zeros(0)
     from scipy.linalg import expm
 
-    own = motion.own
-    size, places = len(own.states), {name: k for k, name in enumerate(own.signals)}
-    relative = own.rows[places[own.relative]]
-    states = np.column_stack([own.drift, own.level_entry, own.slope_entry])  # what states, level and its rate add to dq/dt
-    damper = -2 * np.outer(own.force_entry, relative[:-1])  # and D times them
     tables = []
     for chosen in motion.filters.values():
-        source = own.rows[places[chosen.source]]
-        firm = 2 * source[-1] * relative[:-1]
-        signal = (source[:-1], firm, 0 * firm)  # of (q, Z, dZ/dt), in powers of D
-        rate = (source[:size] @ states, firm[:size] @ states + source[:size] @ damper, firm[:size] @ damper)
-        polynomial = np.zeros((3, 2 * size + 4))
-        for power, (rows, rates) in enumerate(zip(signal, rate, strict=True)):
-            polynomial[power, : size + 1] = rows[: size + 1]
-            polynomial[power, size + 1 : 2 * size + 2] = rates[: size + 1] * (substep / 12)
-            polynomial[power, 2 * size + 2] = rows[size + 1]
-            polynomial[power, 2 * size + 3] = rows[size] + rates[size + 1]
+        polynomial = filter_sources(motion, chosen.source, substep)
         steps = []
         for section, entry in zip(chosen.sections, chosen.entries, strict=True):
             block = np.zeros((4, 4))  # the section, an input that grows by 1 a substep, and 1

@@ -122,7 +122,12 @@ class KalmanFilter:
         task: as it was given.
         full: the same task observed in full, which is what the filter tells: the states of the car, level and slope, and the
             operating point.
-        measured: names of the signals that are measured.
+        measured, columns: names of the signals that are measured, and where they are in an observation.
+        noise: variance of each of them.
+        late, period: control intervals after which a sample is told, and from one to the next, of each.
+        ranges, seen: of frequency ratio and bandwidth, and where they are in an observation, or None.
+        bank: operating points of the filters of each car, shape (b, 2), but for what is seen.
+        parts: of a control interval, in each of which D is held.
 
     Raises:
         ParameterError: a plant that is not linear, no measured signal, or a range of D over which the series do not settle.
@@ -138,27 +143,27 @@ class KalmanFilter:
         count = whole("hypotheses", hypotheses, of="hypotheses")
         motion = task.car.motion
         self._motion: Motion = motion if any(name in motion.filters for name in self.measured) else motion.own
-        self._columns = [task.signals.index(name) for name in self.measured]
+        self.columns = [task.signals.index(name) for name in self.measured]
         sensors = [task.real_sensors.get(name, IDEAL) for name in self.measured]
-        self._noise = np.array([sensor.noise**2 + sensor.resolution**2 / 12 for sensor in sensors])
-        self._late = np.array([self._intervals("delay", sensor.delay) for sensor in sensors])
-        self._period = np.array([self._intervals("interval", sensor.interval) or 1 for sensor in sensors])
+        self.noise = np.array([sensor.noise**2 + sensor.resolution**2 / 12 for sensor in sensors])
+        self.late = np.array([self._intervals("delay", sensor.delay) for sensor in sensors])
+        self.period = np.array([self._intervals("interval", sensor.interval) or 1 for sensor in sensors])
         self._biases = np.array([sensor.bias for sensor in sensors])
         low, high = task.damping_range
         self._middle, self._half = (low + high) / 2, (high - low) / 2
         ratios = tuple(task.frequency_ratio(speed) for speed in task.speed)
-        self._ranges = (ratios, task.bandwidth)
+        self.ranges = (ratios, task.bandwidth)
         numbers = task.valve.numbers(task.control_interval, task.car.natural_frequency)
         self._valve = tuple(float(numbers[f"valve_{name}"]) for name in ("late", "part", "levels", "rate", "rise", "fall"))
-        self._parts = 1 if task.valve.is_still(task.control_interval) else task.substeps
-        self._seen = [task.signals.index(name) if name in task.signals else None for name in OPERATING_POINT]
+        self.parts = 1 if task.valve.is_still(task.control_interval) else task.substeps
+        self.seen = [task.signals.index(name) if name in task.signals else None for name in OPERATING_POINT]
         self._degree = self._needed_degree()
         shares = [
             [(a + b) / 2] if a == b or seen is not None else (a + (b - a) * (np.arange(count) + 0.5) / count).tolist()
-            for seen, (a, b) in zip(self._seen, self._ranges, strict=True)
+            for seen, (a, b) in zip(self.seen, self.ranges, strict=True)
         ]
-        self._bank = np.array(list(itertools.product(*shares)))
-        self._shared = None if any(seen is not None for seen in self._seen) else self.model(self._bank)
+        self.bank = np.array(list(itertools.product(*shares)))
+        self._shared = None if any(seen is not None for seen in self.seen) else self.model(self.bank)
 
     def _intervals(self, what: str, time: float) -> int:
         """A time of a sensor in control intervals, of which it must be a whole number."""
@@ -172,7 +177,7 @@ class KalmanFilter:
         """Chebyshev's points."""
         return np.asarray(np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)))
 
-    def _system(self, points: FloatArray, damping: FloatArray) -> LinearSystem:
+    def system(self, points: FloatArray, damping: FloatArray) -> LinearSystem:
         """Road and car at operating points, shape (points, 1 or as many as there are dampings)."""
         ratio, bandwidth = points[:, 0, None], points[:, 1, None]
         road = self.task.road.shaping_filter(bandwidth if self.task.bandwidth[1] > 0 else None)
@@ -181,7 +186,7 @@ class KalmanFilter:
 
     def _steps(self, points: FloatArray, damping: FloatArray, time: float) -> FloatArray:
         """Phi and Q over ``time``, shape (points, dampings, 2, n, n)."""
-        system = self._system(points, damping)
+        system = self.system(points, damping)
         size = len(system.states)
         shape = (len(points), len(damping), size)
         drift = np.ascontiguousarray(np.broadcast_to(system.drift, (*shape, size))).reshape(-1, size, size)
@@ -193,13 +198,14 @@ class KalmanFilter:
         return steps.reshape(*shape[:2], 2, size, size)
 
     @property
-    def _interval(self) -> float:
+    def interval(self) -> float:
+        """The control interval in units of 1/w1."""
         return self.task.control_interval * self.task.car.natural_frequency
 
     def _series(self, points: FloatArray, degree: int) -> FloatArray:
         """Coefficients of Phi and Q, shape (points, degree + 1, 2 n^2)."""
         nodes = self._nodes(degree)
-        values = self._steps(points, self._middle + self._half * nodes, self._interval / self._parts)
+        values = self._steps(points, self._middle + self._half * nodes, self.interval / self.parts)
         fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
         series = np.empty((len(points), degree + 1, values[0, 0].size))
         fit_series(fit, values.reshape(series.shape), series)
@@ -207,9 +213,9 @@ class KalmanFilter:
 
     def _needed_degree(self) -> int:
         """That at which the series are right at the corners of the operating range."""
-        corners = np.array(list(itertools.product(*self._ranges)))
+        corners = np.array(list(itertools.product(*self.ranges)))
         between = np.linspace(-1, 1, 7)
-        known = self._steps(corners, self._middle + self._half * between, self._interval / self._parts).reshape(
+        known = self._steps(corners, self._middle + self._half * between, self.interval / self.parts).reshape(
             len(corners), 7, 2, -1
         )
         for degree in DEGREES:
@@ -224,8 +230,8 @@ class KalmanFilter:
 
     def model(self, points: FloatArray) -> Model:
         """Road and car at operating points (frequency ratio, bandwidth or 0), shape (points, 2)."""
-        task, still = self.task, self._system(points, np.zeros(1))
-        unit = self._system(points, np.ones(1))
+        task, still = self.task, self.system(points, np.zeros(1))
+        unit = self.system(points, np.ones(1))
         cars, size, count = still.car_states, len(still.states), len(points)
         road = task.road.shaping_filter(points[:, 1] if task.bandwidth[1] > 0 else None)
         assert road is not None
@@ -247,18 +253,18 @@ class KalmanFilter:
         rise = np.concatenate([still.heights * task.car.starts_on_road, np.eye(size - cars)])
         law = rise @ still.road_covariance @ rise.T
         start = np.repeat(law[None], count, axis=0)
-        warm = round(task.warm_up / task.control_interval) * self._interval
+        warm = round(task.warm_up / task.control_interval) * self.interval
         if warm:
             spread_start(self._steps(points, np.array([task.warm_up_damping]), warm)[:, 0], law, start)
-        delayed = both([name for name, late in zip(self.measured, self._late, strict=True) if late])
+        delayed = both([name for name, late in zip(self.measured, self.late, strict=True) if late])
         lags, biased = self._lags, np.flatnonzero(self._biases)
         states, chain = size + len(biased) + lags.sum(), size + len(biased)
         rows = np.zeros((count, 2, len(self.measured), states))
         rows[..., :size] = both(self.measured)
         rows[:, 0, biased, size + np.arange(len(biased))] = 1
         at_once = np.zeros((count, lags.sum(), size))  # before it is told what was, the value at the start is
-        for j, last in zip(np.flatnonzero(self._late), np.cumsum(lags), strict=True):
-            at_once[:, last - self._late[j] : last] = (rows[:, :1] + task.damping_range[0] * rows[:, 1:])[:, 0, j, None, :size]
+        for j, last in zip(np.flatnonzero(self.late), np.cumsum(lags), strict=True):
+            at_once[:, last - self.late[j] : last] = (rows[:, :1] + task.damping_range[0] * rows[:, 1:])[:, 0, j, None, :size]
             rows[:, :, j, :size] = 0
             rows[:, 0, j, chain + last - 1] = 1
         whole_start = np.zeros((count, states, states))
@@ -274,15 +280,15 @@ class KalmanFilter:
     @property
     def _lags(self) -> npt.NDArray[np.int64]:
         """Those of the signals that are told late."""
-        return self._late[self._late > 0]
+        return self.late[self.late > 0]
 
     def _points(self, observations: Rows) -> FloatArray:
         """Operating points of the filters of each car, shape (n, b, 2), from observations."""
-        points = np.repeat(self._bank[None], len(observations), axis=0)
-        for k, (seen, factor) in enumerate(zip(self._seen, (1.0, 2.0), strict=True)):
+        points = np.repeat(self.bank[None], len(observations), axis=0)
+        for k, (seen, factor) in enumerate(zip(self.seen, (1.0, 2.0), strict=True)):
             if seen is not None:
                 share = observations[:, seen].astype(float)
-                points[:, :, k] = np.clip(share / (1 - share) / factor, *self._ranges[k])[:, None]
+                points[:, :, k] = np.clip(share / (1 - share) / factor, *self.ranges[k])[:, None]
         return points
 
     def begin(self, observations: npt.ArrayLike) -> Belief:
@@ -318,7 +324,7 @@ class KalmanFilter:
         """
         names = ("weight", "mean", "covariance", "valve")
         moved = dataclasses.replace(belief, **{name: getattr(belief, name).copy() for name in names}, time=belief.time + 1)
-        means, part = np.empty((len(belief.time), self._parts)), self._interval / self._parts
+        means, part = np.empty((len(belief.time), self.parts)), self.interval / self.parts
         commands = np.clip(np.asarray(damping, float), *self.task.damping_range)
         follow_valve(self._valve, self.task.damping_range, part, commands, moved.valve, means)
         known = belief.model.series, belief.model.delayed, self._lags, belief.place
@@ -329,8 +335,8 @@ class KalmanFilter:
         """The belief, which is new, after what was measured; the weights of a bank are those of its innovations."""
         cars, bank = belief.weight.shape
         belief.surprise = np.empty((2, cars * bank, len(self.measured)))
-        known = belief.model.rows, belief.place, belief.valve[:, 0], self._noise, self._late, self._period, belief.time
-        measured = np.ascontiguousarray(observations[:, self._columns])
+        known = belief.model.rows, belief.place, belief.valve[:, 0], self.noise, self.late, self.period, belief.time
+        measured = np.ascontiguousarray(observations[:, self.columns])
         take_up(*known, measured, belief.mean, belief.covariance, belief.surprise)
         if bank > 1:
             weigh(belief.surprise, belief.weight)

@@ -58,6 +58,7 @@ from .record import (
 )
 from .sensing import advance_sensors, observe_block, start_sensors
 from .signals import (
+    add_own_squares,
     add_squares,
     advance_filters,
     clip,
@@ -111,7 +112,9 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
             call_car(plant.car_prepare, block, car, own, plant.car_table)
             if plant.filters:
                 prepare_filters(plant, lanes, work)
-            if more:
+            if plant.own_signals:
+                add_own_squares(plant, lanes, work, True)
+            elif more:
                 add_squares(plant, lanes, work, True)
         if plant.speed_advance != 0:
             call(plant.speed_advance, block, word, plant.speed_table)
@@ -124,7 +127,9 @@ def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any,
         call_car(plant.car_advance, block, car, own, plant.car_table)
         if plant.filters:
             advance_filters(plant, lanes, work)
-        if more:
+        if plant.own_signals:
+            add_own_squares(plant, lanes, work, False)
+        elif more:
             add_squares(plant, lanes, work, False)
         if moving:
             close_substep(plant, lanes, work, k)
@@ -165,7 +170,8 @@ def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced
         if not np.isnan(forced[1, first + i]):
             bandwidth = forced[1, first + i]
     for row in range(0, lanes.size, LANES):
-        lanes[row + i] = 0.0
+        if row < plant.kept or row >= plant.kept_end:
+            lanes[row + i] = 0.0
     lanes[SPEED + i] = speed
     lanes[BANDWIDTH + i] = bandwidth
     lanes[RATE + i] = speed

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from .compiled import LANES, LaneFunction, compiled, inlined
 
-START, INTERVAL, WARM_UP, SENSOR, SENSOR_BIAS = range(5)  # purposes: what a word is for
+START, INTERVAL, WARM_UP, SENSOR, SENSOR_BIAS, CAR = range(6)  # purposes: what a word is for
 
 Word = Any  # uint32 in compiled code
 

@@ -94,6 +94,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         ),
         "valve time": Range(0.0, 1e9, "delay of a valve, and its time constants, s"),
         "valve rate": Range(1e-9, 1e12, "largest rate of a valve, damping ratio a second, 1/s"),
+        "varied fields": Range(1, 10, "fields of car and valve that vary from episode to episode"),
         "relative warm-up": Range(0.0, 1e6, "warm_up * w1, 1"),
         "warm-up substeps": Range(0, 10_000_000, "substeps in the warm-up"),
         "num_envs": Range(1, 2**24, "environments in a batch"),

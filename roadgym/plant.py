@@ -14,6 +14,7 @@ from numba.core.errors import NumbaError
 
 from . import compiled, kernel
 from .cars import Car
+from .cars.linear import STATES
 from .compiled import COEFFICIENT, LANES, LaneFunction
 from .filters import filter_table
 from .interval import CommandedInterval as CommandedInterval
@@ -30,6 +31,7 @@ from .record import (
     OBSERVED_SENSOR,
     OBSERVED_SIGNAL,
     OBSERVED_SPEED,
+    PENDING,
     PLANT,
     SAME_STEP,
     SQUARES,
@@ -135,7 +137,9 @@ class Plant:
         self.dtype = np.dtype(task.precision)
         available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
         self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
-        road, car, noise = task.road, task.car, task.speed_noise
+        road, noise, vary = task.road, task.speed_noise, task.vary
+        self._driven = car = task.car if vary is None else vary.driven_car
+        self._slowest = valve = task.valve if vary is None else vary.slowest_valve
         self._car = COEFFICIENT + road.rows * LANES
         self._filters = self._car + car.rows * LANES
         self._own_states = len(car.motion.own.states)
@@ -143,27 +147,27 @@ class Plant:
         sources = {name: self._observed_code(name) for name in sensors}
         self._sensors = SensorTables.of(sensors, sources, task.control_interval, task.substeps, end)
         self._valve = end + self._sensors.rows * LANES
-        self._block_size = self._valve + task.valve.rows(task.control_interval) * LANES
+        self._block_size = self._valve + valve.rows(task.control_interval) * LANES
         self._state = np.zeros(self.blocks * self._block_size, self.dtype)
         self._counters = np.zeros(self.blocks * COUNTERS, np.uint32)
         if max_episode_steps:
-            delays = {"the valve": task.valve.delay} | {f"the sensor of {name}": each.delay for name, each in sensors.items()}
+            delays = {"the valve": valve.delay} | {f"the sensor of {name}": each.delay for name, each in sensors.items()}
             check_delays(delays, task.control_interval, max_episode_steps)
         self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
         self._autoreset = AUTORESET[autoreset]
-        self._observed, self._results = (
-            (num_envs, len(task.signals)),
-            (SQUARES + len(task.reward) + (not task.valve.ideal), num_envs),
-        )
-        self._interval = Interval if task.valve.ideal else CommandedInterval
+        self._restarts = vary is not None and autoreset == "same_step"  # here, with another car, and not in compiled code
+        self._observed = num_envs, len(task.signals)
+        self._results = SQUARES + len(task.reward) + (not valve.ideal), num_envs
+        self._interval = Interval if valve.ideal else CommandedInterval
         self.started = False
 
         within(f"variance of the {road.kind} road", road.variance, "variance")
         self._substep = task.control_interval * car.natural_frequency / task.substeps
-        low, high = min(*task.damping_range, task.warm_up_damping), max(*task.damping_range, task.warm_up_damping)
+        dampings = *task.damping_range, task.warm_up_damping
+        self._met = min(dampings), max(dampings)
         self._tables = {
             "road": padded_table(f"table of the {road.kind} road", road.table(), self.dtype),
-            "car": padded_table(f"table of the {car.kind} car", car.table(self._substep, (low, high)), self.dtype),
+            "car": padded_table(f"table of the {car.kind} car", car.table(self._substep, self._met), self.dtype),
         }
         if noise is not None:
             table = noise.table(self._substep, car.natural_frequency, road)
@@ -176,7 +180,7 @@ class Plant:
             "shares": interval_weights(task.substeps),
             "factors": np.ascontiguousarray(car.motion.rows, np.float64),
             "filter_table": filter_table(car.motion, self._substep),
-            "start": car.starts_on_road * car.motion.follows,
+            "start": task.car.starts_on_road * car.motion.follows,
             "observed": np.array([codes.get(name, self._observed_code(name)) for name in task.signals], np.int64),
             "valve_shares": shares_of_ends(task.substeps),
             "sensor_integers": self._sensors.integers,
@@ -184,19 +188,26 @@ class Plant:
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
         self._record = self._make_record()
+        self.drawn = self._drawn = np.zeros((0 if vary is None else len(vary.names), num_envs))
+        if vary is not None:  # lanes beyond the last environment keep the nominal car
+            nominal = vary.driven_car.numbers(task.car, task.valve, 1.0, self._substep, task.control_interval, self._met)
+            self._own_numbers[:] = nominal[:, None]
 
     def _observed_code(self, name: str) -> int:
         """How the kernel finds an observed signal."""
         signals = self.task.car.motion.signals
         if name in ("speed", "bandwidth"):
             return OBSERVED_SPEED if name == "speed" else OBSERVED_BANDWIDTH
+        if name in signals and self.task.vary is not None:  # in terms of the nominal car
+            return OBSERVED_SIGNAL - list(signals).index(name)
         if name not in signals or dict(signals[name].terms) == {name: 1.0}:  # as it is
             return self._offset(name)
         return OBSERVED_SIGNAL - list(signals).index(name)
 
     def _make_record(self) -> npt.NDArray[Any]:
         """The plant as the kernel knows it; its addresses belong to this process."""
-        task, road, noise, car = self.task, self.task.road, self.task.speed_noise, self.task.car
+        task, road, noise, car = self.task, self.task.road, self.task.speed_noise, self._driven
+        vary, valve = task.vary, self._slowest
         record = np.zeros(1, PLANT)
         functions: dict[str, tuple[Road | SpeedNoise | Car, LaneFunction | None]] = {
             "road_prepare": (road, road.prepare),
@@ -229,14 +240,16 @@ class Plant:
             "observations": len(task.signals),
             "sensors": len(self._sensors.integers),
             "valve_row": self._valve,
-            "valve_rows": task.valve.rows(task.control_interval),
-            **task.valve.numbers(task.control_interval, car.natural_frequency),
+            "valve_rows": valve.rows(task.control_interval),
+            **valve.numbers(task.control_interval, car.natural_frequency),
+            "valve_moves": not task.holds_damping,
             "block_size": self._block_size,
             "car": self._car,
             "work": compiled.WORK + (car.squared + car.working_rows) * LANES,
             "warm_up_steps": round(task.warm_up / task.control_interval),
             "max_episode_steps": self._max_episode_steps,
-            "autoreset": self._autoreset,
+            "autoreset": DISABLED if self._restarts else self._autoreset,
+            **({} if vary is None else vary.places(self._car)),
             "substep": self._substep,
             "warm_up_damping": task.warm_up_damping,
             "saturation": SATURATION,
@@ -248,6 +261,25 @@ class Plant:
         for name, number in numbers.items():
             record[name] = number
         return record
+
+    @property
+    def _own_numbers(self) -> npt.NDArray[Any]:
+        """The numbers of each lane's own car, shape (blocks, rows, LANES)."""
+        rows = slice(self._car // LANES + STATES, self._filters // LANES)
+        return self._state.reshape(self.blocks, -1, LANES)[:, rows]
+
+    def _draw(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Give the masked environments, which are about to begin their next episode, the cars of that."""
+        vary = self.task.vary
+        if vary is None or not mask.any():
+            return
+        where = np.flatnonzero(mask)
+        block, lane = np.divmod(where, LANES)
+        values = vary.draws(np.ascontiguousarray(self._counter_rows[block, :, lane].T))
+        self._drawn = self._drawn.copy()  # the old ones may have been told
+        self._drawn[:, where] = values
+        rows = vary.numbers(values, self._substep, self.task.control_interval, self._met)
+        self._own_numbers[block, :, lane] = rows.T
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
@@ -319,8 +351,9 @@ class Plant:
         """Start the masked environments in their next episode; reward and mean squares are 0."""
         observations = np.empty(self._observed, np.float32)
         results = np.zeros(self._results)
+        self._draw(mask)
         self._run(kernel.reset_blocks, forced, mask, observations, results)
-        self.started = True
+        self.started, self.drawn = True, self._drawn
         return self._interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
 
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
@@ -329,7 +362,14 @@ class Plant:
         final = np.empty_like(observations) if self._autoreset == SAME_STEP else observations
         results = np.empty(self._results)
         truncated = np.empty(self.num_envs, np.bool_)
+        if self.task.vary is not None:
+            self._draw(self._counter_rows[:, PENDING // LANES].reshape(-1)[: self.num_envs] != 0)
+            self.drawn = self._drawn
         self._run(kernel.step_blocks, actions, observations, results, truncated, final)
+        if self._restarts and truncated.any():
+            final[:] = observations
+            told, begun = self.drawn, self.reset(self.forced({}), truncated).observations
+            self.drawn, observations[truncated] = told, begun[truncated]
         return self._interval(observations, results, truncated, final)
 
     def trace(self, actions: npt.NDArray[np.float32]) -> tuple[Interval, npt.NDArray[Any], npt.NDArray[Any]]:
@@ -389,7 +429,7 @@ class Plant:
         if row in states:
             place = states.index(str(row))
             return self._car + place * LANES if place < self._own_states else self._filters + (place - self._own_states) * LANES
-        if row == "damping" and not self.task.valve.ideal:
+        if row == "damping" and not self.task.ideal_valve:
             return self._valve
         return BUS[row] if isinstance(row, str) else row
 

@@ -41,6 +41,9 @@ PLANT = np.dtype(
         *((name, np.int64) for name in ("valve", "valve_moves", "valve_row", "valve_rows", "valve_late", "valve_levels")),
         ("valve_shares", np.uint64),
         *((name, np.float64) for name in ("valve_part", "valve_rate", "valve_rise", "valve_fall")),
+        # where each lane has numbers of its own (`roadgym.cars.varied`): the rows of a block that a start leaves as they are,
+        # and among them those of signals, sources of filters and valve; 0 where there are none
+        *((name, np.int64) for name in ("kept", "kept_end", "own_signals", "own_sources", "own_valve")),
         *((name, np.float64) for name in ("substep", "damping_low", "damping_high", "speed_low", "speed_high")),
         *((name, np.float64) for name in ("bandwidth_low", "bandwidth_high", "warm_up_damping", "saturation")),
         ("speed_unit", np.float64),  # in which results are told

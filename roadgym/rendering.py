@@ -102,7 +102,7 @@ class History:
         """Remember what `Plant.trace` tells of a step in which the car went on with its episode."""
         scale = self._gauges.pixels_per_radian
         reward, self.damping = float(interval.reward[self._car]), float(interval.damping[self._car])
-        if not self._plant.task.valve.ideal:
+        if not self._plant.task.ideal_valve:
             self.damping = self._now("damping")
         for turn, end in zip(angle[:, self._car].tolist(), level[:, self._car].tolist(), strict=True):
             here = self.path[-1][0] + turn

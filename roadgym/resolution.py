@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from .cars import Car
 from .parameters import check_ratio, whole
@@ -67,6 +68,31 @@ def needed_precision(
     if road.lines is not None:
         single = single and ratio * substep >= SINGLE_HARMONIC_ANGLE
     return road.precision if single else "float64"
+
+
+def strictest_precision(
+    road: Road,
+    cars: Sequence[tuple[Car, float]],
+    rate: float,
+    bandwidths: tuple[float, float],
+    damping: tuple[float, float],
+    substep: float,
+) -> str:
+    """`needed_precision` of the most demanding of ``cars``, each with what makes a nominal damping ratio its own.
+
+    The least ``rate`` of the road is in rad/s, the ``substep`` in s.
+    """
+    return max(
+        needed_precision(
+            road,
+            car,
+            rate / car.natural_frequency,
+            bandwidths,
+            (firmer * damping[0], firmer * damping[1]),
+            substep * car.natural_frequency,
+        )
+        for car, firmer in cars
+    )  # float64, where one needs it
 
 
 def needed_substeps(

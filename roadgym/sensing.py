@@ -32,13 +32,13 @@ from .sensors import (
     SLOTS,
     SOURCE,
 )
-from .signals import clip, row_of, signal_row, write_signal
+from .signals import clip, row_of, signal_row, write_observed
 
 
 @compiled
 def source_row(plant: Any, lanes: Any, work: Any, source: int) -> Any:
     """The row of a signal now."""
-    return row_of(lanes, source) if source >= 0 else write_signal(plant, lanes, work, OBSERVED_SIGNAL - source)
+    return row_of(lanes, source) if source >= 0 else write_observed(plant, lanes, work, OBSERVED_SIGNAL - source)
 
 
 @compiled
@@ -131,7 +131,7 @@ def observe_block(plant: Any, lanes: Any, work: Any, counters: Any, observations
         elif what <= OBSERVED_SENSOR:
             read_sensor(plant, lanes, counters, OBSERVED_SENSOR - what, own)
         else:
-            write_signal(plant, lanes, work, OBSERVED_SIGNAL - what)
+            write_observed(plant, lanes, work, OBSERVED_SIGNAL - what)
         place = j
         for i in range(count):
             target[place] = clip(row[i], low, high)

@@ -106,6 +106,25 @@ def add_row(target: Any, source: Any, factor: Any, fresh: bool) -> None:
 
 
 @compiled
+def own_factor(plant: Any, lanes: Any, k: int, term: int) -> Any:
+    """The row of what each lane has as the factor of a term in signal ``k``; see `roadgym.cars.varied`."""
+    return row_of(lanes, plant.own_signals + (k * (plant.states + 3) + term) * LANES)
+
+
+@compiled
+def write_own(plant: Any, lanes: Any, k: int, row: Any) -> None:
+    """Write signal ``k``, but for the damper's force, to a row, where each lane has factors of its own."""
+    factor = own_factor(plant, lanes, k, plant.states + 1)
+    for i in range(LANES):
+        row[i] = factor[i] * (lanes[RATE + i] * lanes[SLOPE + i])
+    for j in range(plant.states + 1):
+        factor = own_factor(plant, lanes, k, j)
+        source = row_of(lanes, state_row(plant, j) if j < plant.states else LEVEL)
+        for i in range(LANES):
+            row[i] += factor[i] * source[i]
+
+
+@compiled
 def write_smooth(plant: Any, lanes: Any, k: int, row: Any) -> None:
     """Write signal ``k``, but for the damper's force, to a row."""
     factors, first = pointer(plant.factors, 0.0), k * (plant.states + 3)
@@ -133,6 +152,34 @@ def write_signal(plant: Any, lanes: Any, work: Any, k: int) -> Any:
         for i in range(LANES):
             row[i] += force * work[DAMPING + i] * relative[i]
     return row
+
+
+@compiled
+def write_own_signal(plant: Any, lanes: Any, work: Any, k: int) -> Any:
+    """`write_signal` where each lane has factors of its own."""
+    row, relative = row_of(work, signal_row(plant)), row_of(work, signal_row(plant) + LANES)
+    write_own(plant, lanes, k, row)
+    write_own(plant, lanes, plant.relative, relative)
+    factor = own_factor(plant, lanes, k, plant.states + 2)
+    for i in range(LANES):
+        row[i] += like(lanes, 2.0) * factor[i] * work[DAMPING + i] * relative[i]
+    return row
+
+
+@compiled
+def write_observed(plant: Any, lanes: Any, work: Any, k: int) -> Any:
+    """Write signal ``k`` of any car to the row that is returned."""
+    return write_own_signal(plant, lanes, work, k) if plant.own_signals else write_signal(plant, lanes, work, k)
+
+
+@compiled
+def add_own_squares(plant: Any, lanes: Any, work: Any, fresh: bool) -> None:
+    """`add_squares` where each lane has factors of its own."""
+    for k in range(plant.signals):
+        row = write_own_signal(plant, lanes, work, k)
+        for i in range(LANES):
+            row[i] *= row[i]
+        add_row(row_of(work, square_row(plant, k)), row, work[SHARE], fresh)
 
 
 @compiled
@@ -165,7 +212,12 @@ def prepare_filters(plant: Any, lanes: Any, work: Any) -> None:
     table, width, place = pointer(plant.filter_table, 0.0), 2 * plant.own_states + 4, 0
     for k in range(plant.filters):
         factors = row_of(work, filter_row(plant, k))
-        for j in range(width):
+        for j in range(width if plant.own_sources else 0):
+            row = plant.own_sources + (3 * k * width + j) * LANES
+            q0, q1, q2 = row_of(lanes, row), row_of(lanes, row + width * LANES), row_of(lanes, row + 2 * width * LANES)
+            for i in range(LANES):
+                factors[j * LANES + i] = q0[i] + work[DAMPING + i] * (q1[i] + work[DAMPING + i] * q2[i])
+        for j in range(0 if plant.own_sources else width):
             p = place + 1 + j
             p0, p1, p2 = like(lanes, table[p]), like(lanes, table[p + width]), like(lanes, table[p + 2 * width])
             for i in range(LANES):

@@ -16,12 +16,13 @@ from .compiled import LaneFunction
 from .moved import moved
 from .parameters import ParameterError, check_ratio, non_negative, pair, positive, positive_range, shown, whole, within
 from .record import OBSERVED
-from .resolution import needed_precision, needed_substeps
+from .resolution import needed_substeps, strictest_precision
 from .reward import asked_signals, check_weights, cost_unit, divergence_cause, divergent_terms
 from .roads import Road, make_road
 from .sensors import Sensor, Sensors, make_sensors
 from .speed import SpeedNoise, make_speed_noise
 from .valve import Valve, make_valve
+from .variation import Variation, make_variation
 
 if not TYPE_CHECKING:
     __getattr__ = moved(
@@ -53,6 +54,7 @@ class Task:
         precision: "float32" or "float64", the format of the state.
         sensors: through which the signals are observed; None for ideal ones.
         valve: between the action and the damping in force.
+        vary: what of car and valve varies from episode to episode, around these; None for nothing.
     """
 
     road: Road
@@ -70,6 +72,22 @@ class Task:
     precision: str
     sensors: Sensors | None
     valve: Valve
+    vary: Variation | None
+
+    @property
+    def ideal_valve(self) -> bool:
+        """Is every command in force at once, in every episode?"""
+        return self.valve.ideal and not (self.vary is not None and self.vary.varies_valve)
+
+    @property
+    def holds_damping(self) -> bool:
+        """Does D in force keep its value within each control interval, in every episode?"""
+        return self.valve.is_still(self.control_interval) and not (self.vary is not None and self.vary.varies_valve)
+
+    @property
+    def cars(self) -> tuple[tuple[Car, float], ...]:
+        """The nominal car, and where it varies those at the ends, each with what makes a nominal damping ratio its own."""
+        return ((self.car, 1.0),) if self.vary is None else self.vary.cars
 
     @property
     def reward_by_name(self) -> dict[str, float]:
@@ -246,6 +264,7 @@ class TaskParameters(TypedDict, total=False):
     precision: str | None
     sensors: Mapping[str, Any] | Sensors | None
     valve: Mapping[str, Any] | Valve | None
+    vary: Mapping[str, Sequence[float]] | None
 
 
 def make_task(
@@ -267,6 +286,7 @@ def make_task(
     precision: str | None = None,
     sensors: Mapping[str, Any] | Sensors | None = None,
     valve: Mapping[str, Any] | Valve | None = None,
+    vary: Mapping[str, Sequence[float]] | None = None,
 ) -> Task:
     """Check every parameter and fill in the defaults.
 
@@ -298,6 +318,8 @@ def make_task(
             roads that touch their bound, slow roads and cars, and short substeps.
         sensors: `roadgym.Sensors` through which the signals are observed, or a mapping of its arguments; ideal by default.
         valve: `roadgym.Valve` between the action and the damping in force, or a mapping of its arguments; ideal by default.
+        vary: bounds (low, high) of fields of the car, such as "sprung_mass", and of the valve, such as "valve.rise_time":
+            each episode has its own, told and acted in terms of the nominal ``car``; see `roadgym.variation`.
 
     Ranges of all of them are in `roadgym.parameters.RANGES`.
 
@@ -357,7 +379,15 @@ def make_task(
     the_valve = make_valve(valve)
     the_valve.check(interval)
     firmest, still = max(damping[1], stiffness), the_valve.is_still(interval)
-    number = needed_substeps(the_road, noise, the_car, speeds, bandwidths[1], firmest, interval, substeps, still)
+    variation = make_variation(vary, the_car, the_valve, interval, the_road, noise)
+    cars = ((the_car, 1.0),) if variation is None else variation.cars
+    still = still and not (variation is not None and variation.varies_valve)
+    for each, _ in cars[1:]:
+        check_plant(the_road, noise, speeds, each.natural_frequency)
+    number = max(
+        needed_substeps(the_road, noise, each, speeds, bandwidths[1], firmer * firmest, interval, substeps, still)
+        for each, firmer in cars
+    )
     words = the_road.words_per_substep + (0 if noise is None else noise.words_per_substep)
     check_ratio(
         "control_interval",
@@ -394,7 +424,8 @@ def make_task(
     if the_road.precision == "float64" and precision == "float32":
         raise ParameterError(f'precision must be "float64" on this {the_road.kind} road, got "float32"')
     if precision is None:
-        precision = needed_precision(the_road, the_car, slowest, bandwidths, damping, interval * w1 / number)
+        rate = speeds[0] * the_road.wavenumber
+        precision = strictest_precision(the_road, cars, rate, bandwidths, damping, interval / number)
     return Task(
         road=the_road,
         speed_noise=noise,
@@ -411,4 +442,5 @@ def make_task(
         precision=precision,
         sensors=the_sensors,
         valve=the_valve,
+        vary=variation,
     )

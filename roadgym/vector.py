@@ -110,6 +110,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         info["speed"] = interval.speed
         if self.task.bandwidth[1] > 0:
             info["bandwidth"] = interval.bandwidth
+        if self.task.vary is not None:
+            info |= zip(self.task.vary.names, self.plant.drawn.copy(), strict=True)
         return info | {"_" + name: mask for name in info}
 
     def _forced(self, chosen: dict[str, Any]) -> npt.NDArray[np.float64]:

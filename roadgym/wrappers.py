@@ -135,7 +135,7 @@ class KalmanObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
 
 
 class VectorKalmanObservation(EpisodeWrapper):
-    """`KalmanObservation` of a batch."""
+    """`KalmanObservation` of a batch; ``measured`` is what the batch observed last, shape (num_envs, signals)."""
 
     def __init__(self, env: Batch, deviations: bool = False, hypotheses: int = HYPOTHESES) -> None:
         super().__init__(env)
@@ -144,11 +144,12 @@ class VectorKalmanObservation(EpisodeWrapper):
         self.single_observation_space = _space(self.task, deviations)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.belief: Belief | None = None
+        self.measured = np.empty((0, len(self.filter.task.signals)), np.float32)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin the next episode, everywhere or where the options say."""
         observations, info = self.env.reset(seed=seed, options=options)
-        mask = self._start(options)
+        mask, self.measured = self._start(options), observations
         if mask is None or self.belief is None:
             self.belief = self.filter.begin(observations)
         else:
@@ -170,4 +171,5 @@ class VectorKalmanObservation(EpisodeWrapper):
             for i, row in zip(np.flatnonzero(begun), _seen(self.filter, belief, self._deviations)[begun], strict=True):
                 info["final_obs"][i] = row
         self.belief = self.filter.restarted(belief, begun, observations) if begun.any() else belief
+        self.measured = observations
         return _seen(self.filter, self.belief, self._deviations), rewards, terminated, truncated, info

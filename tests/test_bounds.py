@@ -88,10 +88,10 @@ def test_numbers_of_the_car_of_butsuen_and_others():
         assert bound_of(task).cost / intensity == pytest.approx(expected, abs=0.6)
 
 
-def test_no_constant_damping_of_hundreds_of_plants_beats_the_bound():
+def test_no_constant_damping_of_a_hundred_plants_beats_the_bound():
     generator = np.random.default_rng(16)
     ratios = []
-    for _ in range(250):
+    for _ in range(100):
         task = random_task(generator)
         found = bound_of(task)
         assert found.holds
@@ -105,7 +105,7 @@ def test_no_constant_damping_of_hundreds_of_plants_beats_the_bound():
 def test_no_damping_that_changes_at_random_beats_the_bound():
     """Exact second moments of the plant under random sequences of dampings, held over intervals."""
     generator = np.random.default_rng(17)
-    for _ in range(40):
+    for _ in range(16):
         task = random_task(generator)
         cost = bound_of(task).cost
         ratio, bandwidth = task.frequency_ratio(task.speed[0]), bandwidth_of(task)
@@ -138,14 +138,14 @@ class Poor:
 def test_no_rule_that_is_driven_beats_the_bound(road):
     environment = {"road": road, "speed": (0.5, 4.0), "bandwidth": (0.05, 0.5)}
     task = make_task(**environment)
-    names = ("skyhook", "one_step_lookahead", "clipped_lqr", "d_min")
+    names = ("skyhook", "one_step_lookahead")
     rules = {name: make_controller(name, task) for name in names}
     rules |= {f"{name}, noisy and late": Poor(rules[name]) for name in names[:2]}
-    driven = evaluate(rules, environment=environment, speeds=[0.5, 1.0, 2.0, 4.0], bandwidths=[0.05, 0.5], episodes=32)
+    driven = evaluate(rules, environment=environment, speeds=[0.7, 2.0], bandwidths=[0.1], episodes=32)
+    points = driven["skyhook"].points
+    bounds = [analysis.lower_bound(task, speed=point.speed, bandwidth=point.bandwidth).safe for point in points]
     for evaluation in driven.values():
-        for k, point in enumerate(evaluation.points):
-            bound = analysis.lower_bound(task, speed=point.speed, bandwidth=point.bandwidth or None)
-            assert bound.safe <= evaluation.mean[k] + 4 * evaluation.standard_error[k]
+        assert (np.array(bounds) <= evaluation.mean + 4 * evaluation.standard_error).all()
 
 
 def proves(found, task, cost):

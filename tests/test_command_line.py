@@ -121,7 +121,10 @@ def test_comparisons_of_other_agents_in_one_folder_come_one_beside_the_other(pla
     assert main(["compare", "--weights", "acceleration=1,travel=0.5", *training]) == 0  # finds its own again
     assert main(["compare", "--timesteps", "128", *training]) == 0  # and is not shown an agent that trained for longer
     assert len(list(place.glob("roadgym-results*"))) == 4
-    assert "wrote roadgym-results-4" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "wrote roadgym-results-4" in said
+    number = r"\d+\.\d"
+    assert re.search(rf"took {number} s: compiling {number}, training {number}, .*driving {number}, .*writing {number}\n", said)
 
 
 def test_what_is_trained_is_told_beforehand(place, caplog):

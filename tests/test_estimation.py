@@ -11,7 +11,6 @@ from agents.cli import main
 from agents.comparison import make_rivals, table
 from agents.controllers import CONTROLLERS
 from agents.estimation import Estimated
-from agents.export.stages import stages_of
 from agents.report import theory_given
 from agents.wrappers import learning, task_of
 from roadgym import ParameterError
@@ -162,8 +161,6 @@ def test_an_agent_learns_on_the_filter_and_drives_by_it(tmp_path):
     given = "drives by a Kalman filter of travel, acceleration; learned from theory's advantage"
     assert theory_given(loaded).startswith(given)
     assert theory_given(loaded).endswith(", with theory's one-step lookahead among its features.")
-    with pytest.raises(agents.AgentError, match="cannot export an agent that sees by a Kalman filter"):
-        stages_of(loaded)
     with pytest.raises(ParameterError, match="unknown estimator 'x'"):
         agents.train(
             tmp_path / "other", environment=environment, hyperparameters={**hyperparameters, "estimator": "x"}, timesteps=1

@@ -68,6 +68,37 @@ def compiled(folder, remembers):
     return answer
 
 
+class InC:
+    """An agent in C that answers cars: one damper for each."""
+
+    def __init__(self, task, folder, header):
+        self.task, self.library = task, ctypes.CDLL(str(folder / "batch.so"))
+        size = re.search(r"(\d+) bytes to remember", header)
+        self.size = int(size[1]) if size else 0
+        self.call = self.library.agent_step if size else self.library.agent_damping
+        self.call.restype = ctypes.c_float
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        found = np.empty((len(observation), 1), np.float32)
+        rows = np.ascontiguousarray(observation)
+        state = ctypes.create_string_buffer(self.size * len(rows)) if state is None else state
+        for k, row in enumerate(rows):
+            memory = [ctypes.byref(state, self.size * k)] if self.size else []
+            if self.size and episode_start[k]:
+                self.library.agent_init(*memory)
+            found[k] = self.call(*memory, ctypes.c_void_p(row.ctypes.data))
+        return found, state
+
+
+def driven_both(agent, folder, remembers, **options):
+    """Evaluations of an agent, in Python and in C."""
+    header = export(agent, "c", folder)[0].read_text()
+    compiled(folder, remembers)
+    drivers = {"python": agent, "c": InC(agent.task, folder, header)}
+    options = {"environment": agent.description["environment"], "duration": 60.0, "episodes": 32, "seed": 2, **options}
+    return evaluate(drivers, **options)
+
+
 def in_python(agent, observations):
     """The same by the agent."""
     state, begins, answers = None, np.ones(len(observations), np.bool_), []
@@ -78,10 +109,10 @@ def in_python(agent, observations):
     return np.stack(answers, axis=1)
 
 
-def driven(agent):
+def driven(agent, steps=64, cars=128):
     """Observations of cars that the agent drives."""
-    envs = QuarterCarVectorEnv(128, max_episode_steps=None, threads=1, **agent.description["environment"])
-    return np.stack([before for (before, *_), _ in zip(drive(agent, envs, 7, {}), range(64), strict=False)], axis=1)
+    envs = QuarterCarVectorEnv(cars, max_episode_steps=None, threads=1, **agent.description["environment"])
+    return np.stack([before for (before, *_), _ in zip(drive(agent, envs, 7, {}), range(steps), strict=False)], axis=1)
 
 
 def drawn(agent, spread):
@@ -104,6 +135,7 @@ def trained(folder, algorithm, environment=ENVIRONMENT, hyperparameters=None, ch
 
 
 KINDS = {  # by name, what `trained` takes
+    "apg": ("apg", ENVIRONMENT, None, {"horizon": 4}),
     "ppo": ("ppo",),
     "a2c": ("a2c",),
     "sac": ("sac",),
@@ -180,32 +212,7 @@ def ppo(tmp_path_factory):
 def test_c_drives_as_the_agent(kind, tmp_path):
     """In the plant, where each answer moves the next observation."""
     agent = trained(tmp_path / "a", *KINDS[kind])
-    header = export(agent, "c", tmp_path)[0].read_text()
-    remembers = kind == "recurrent"
-    compiled(tmp_path, remembers)
-    library = ctypes.CDLL(str(tmp_path / "batch.so"))
-    call = library.agent_step if remembers else library.agent_damping
-    call.restype = ctypes.c_float
-    size = int(re.search(r"(\d+) bytes to remember", header)[1]) if remembers else 0
-
-    class InC:
-        """One damper for each car."""
-
-        task = agent.task
-
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            found = np.empty((len(observation), 1), np.float32)
-            rows = np.ascontiguousarray(observation)
-            state = ctypes.create_string_buffer(size * len(rows)) if state is None else state
-            for k, row in enumerate(rows):
-                memory = [ctypes.byref(state, size * k)] if remembers else []
-                if remembers and episode_start[k]:
-                    library.agent_init(*memory)
-                found[k] = call(*memory, ctypes.c_void_p(row.ctypes.data))
-            return found, state
-
-    options = {"environment": agent.description["environment"], "speeds": [1.5], "bandwidths": [0.1, 0.3], "duration": 60.0}
-    both = evaluate({"python": agent, "c": InC()}, episodes=32, transient=20.0, seed=2, **options)
+    both = driven_both(agent, tmp_path, kind == "recurrent", speeds=[1.5], bandwidths=[0.1, 0.3], transient=20.0)
     python, c = both["python"], both["c"]
     assert np.all(np.abs(c.mean - python.mean) < 1e-4 * python.mean)
     assert np.all(np.abs(c.mean - python.mean) < python.standard_error)
@@ -298,7 +305,7 @@ def test_what_cannot_be_exported_is_told_in_one_line(ppo, tmp_path):
     with pytest.raises(agents.AgentError, match="whose wrapper changes actions"):
         export(wrapped, "c", tmp_path)
     other = types.SimpleNamespace(**{**vars(agent), "description": agent.description | {"algorithm": "own"}})
-    with pytest.raises(agents.AgentError, match="cannot export an agent of 'own': known are ppo, "):
+    with pytest.raises(agents.AgentError, match="cannot export an agent of 'own': known are apg, ppo, "):
         export(other, "onnx", tmp_path)
     odd = trained(tmp_path / "odd", "ppo", changes={"policy_kwargs": {"net_arch": [8], "activation_fn": "Softsign"}})
     with pytest.raises(agents.AgentError, match=r"cannot export a policy with a Softsign: known are .*, ReLU"):

@@ -50,7 +50,7 @@ def test_hyperparameter_files(tmp_path, monkeypatch):
     assert load_hyperparameters("ppo", "ppo_plain") == load_hyperparameters("ppo") | plain
     with pytest.raises(ParameterError, match=r"cannot read hyperparameters from 'no.yaml': .* by name there are: a2c, "):
         load_hyperparameters("ppo", "no.yaml")
-    with pytest.raises(ParameterError, match="unknown algorithm 'dreamer'; known: ppo, sac, td3, "):
+    with pytest.raises(ParameterError, match="unknown algorithm 'dreamer'; known: apg, ppo, sac, td3, "):
         load_hyperparameters("dreamer")
     file = tmp_path / "own.yaml"
     file.write_text("CartPole-v1: {n_envs: 3}")

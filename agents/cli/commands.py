@@ -74,6 +74,17 @@ def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
     return with_wrappers(_loaded(chosen), chosen.wrapper)
 
 
+def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]) -> None:
+    """Fill in the algorithm where none is named."""
+    from roadgym.task import make_task
+
+    from ..training import usual_algorithm
+
+    if chosen.algorithm is None:
+        other, estimator = chosen.hyperparameters is not None, getattr(chosen, "estimator", None)
+        chosen.algorithm = usual_algorithm(make_task(**environment), other, chosen.wrapper, estimator)
+
+
 def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
     """Train an agent, or go on with it: then what is given must be what it was trained with."""
     from ..training import train
@@ -107,6 +118,7 @@ def run_train(chosen: argparse.Namespace) -> None:
         environment = {**known, **given_environment(chosen)}
     else:
         environment = environment_from(chosen)
+    _choose_algorithm(chosen, environment)
     agent = _train(chosen, folder, environment, seed=chosen.seed, resume=chosen.resume)
     print(f"trained for {agent.description['timesteps']} steps: {folder}")
 
@@ -200,11 +212,12 @@ def run_compare(chosen: argparse.Namespace) -> None:
     """``roadgym compare``."""
     from roadgym.files import remove_parts
     from roadgym.parameters import whole
+    from roadgym.vector import QuarterCarVectorEnv
 
     from ..agent import load
     from ..certified import check_bound
     from ..comparison import AGENT, compare, group_agents, table, write
-    from ..progress import work_progress
+    from ..progress import Stopwatch, work_progress
     from ..records import LOCK, locked, make_folder
 
     seeds = range(0)
@@ -223,6 +236,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
         kinds = [_kind(agent.description) for agent in loaded.values()]
     else:
         learned, environment = {AGENT: []}, environment_from(chosen)
+        _choose_algorithm(chosen, environment)
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
     _check_evaluation(chosen, environment)
@@ -234,28 +248,41 @@ def run_compare(chosen: argparse.Namespace) -> None:
 
         check_seed(seeds[-1])
     folder = make_folder(_results_folder(chosen, kinds))
-    steps = len(seeds) + 2
+    steps, watch = len(seeds) + 2, Stopwatch()
     with locked(folder / LOCK, "comparison"):
         remove_parts(folder)
+        QuarterCarVectorEnv(1, **environment).reset(seed=0)  # which compiles the plant where it is not
+        watch.note("compiling")
         for number, seed in enumerate(seeds, 1):
             place = folder / f"agent-{seed}"
             _tell(f"step {number} of {steps}: training {place}")
             learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=(place / DESCRIPTION).exists()))
+            watch.note("training")
         _tell(f"step {steps - 1} of {steps}: driving")
-        comparison = compare(
-            learned,
-            environment=environment,
-            episodes=chosen.episodes,
-            seed=chosen.seed,
-            controllers=chosen.controllers,
-            bound=chosen.bound,
-            estimator=chosen.estimator,
-            **_grid(chosen, environment),
-        )
+        with work_progress() as report:
+
+            def tell(what: str, done: int, total: int) -> None:
+                watch.note(next((part for part in ("driving", "lower bounds") if what.startswith(part)), "optimal feedback"))
+                report(what, done, total)
+
+            comparison = compare(
+                learned,
+                environment=environment,
+                episodes=chosen.episodes,
+                seed=chosen.seed,
+                controllers=chosen.controllers,
+                bound=chosen.bound,
+                estimator=chosen.estimator,
+                report=tell,
+                **_grid(chosen, environment),
+            )
+        watch.note("driving")
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
         _tell(f"step {steps} of {steps}: drawing and writing")
         with work_progress() as report:
             files = write(comparison, folder, report)
+        watch.note("drawing and writing")
+    _tell(f"took {watch}")
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
 

@@ -109,6 +109,14 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         "--valve",
         {"type": component, "metavar": "JSON", "help": f"mapping of {', '.join(Valve.__dataclass_fields__)} (ideal)"},
     ),
+    "vary": (
+        "--vary",
+        {
+            "type": component,
+            "metavar": "JSON",
+            "help": "mapping from fields of the car, or valve.FIELD, to bounds between which each episode draws its own (none)",
+        },
+    ),
     "natural_frequency": (
         "--natural-frequency",
         {"type": float, "metavar": "W1", "help": "natural frequency of the car of one mass, rad/s (1)"},
@@ -121,8 +129,8 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
     group = parser.add_argument_group("training")
     group.add_argument(
         "--algorithm",
-        default="ppo",
-        help="ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent (%(default)s)",
+        help="apg, ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent "
+        "(apg; ppo with hyperparameters, wrappers, a valve, or sensors without a plain filter, and to tune)",
     )
     group.add_argument(
         "--hyperparameters",

@@ -43,7 +43,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    train = _command(commands, "train", run_train, "train an agent into a folder", "roadgym train --output runs/ppo --seed 1")
+    train = _command(commands, "train", run_train, "train an agent into a folder", "roadgym train --output runs/apg --seed 1")
     train.add_argument("--output", type=nonempty, required=True, metavar="DIR", help="folder of the agent")
     train.add_argument("--resume", action="store_true", help="go on with the agent in the folder")
     train.add_argument("--tensorboard", action="store_true", help="write logs for TensorBoard into the folder")
@@ -64,10 +64,11 @@ def make_parser() -> argparse.ArgumentParser:
         "--output", type=nonempty, metavar="FILE", help="write the best as YAML that train --hyperparameters takes"
     )
     add_training(tune, seed_of="the search, of training and of the evaluation's roads", checkpoints=False)
+    tune.set_defaults(algorithm="ppo")
     add_environment(tune)
 
     evaluate = _command(
-        commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/ppo"
+        commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/apg"
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
     who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 import analysis
-from analysis.quadratic import interval_forms, plant_system, regulator, value_form
+from analysis.quadratic import active_force, interval_forms, plant_system, value_form
 from roadgym.cache import user_folder
 from roadgym.parameters import ParameterError, within
 from roadgym.task import OPERATING_POINT, Task
@@ -21,8 +21,6 @@ from ..advantage import has_advantage, state_of
 from ..theory import optimum, road_at
 from .base import Controller, Observation, command_name, observed_bandwidth, observed_speed
 from .rules import SHARES
-
-PRICE = 0.01  # of the square of an active force, over the sum of the weights
 
 
 class Scheduled(Controller):
@@ -76,14 +74,6 @@ class Scheduled(Controller):
             answer[begin:end] = self.rule(self._forms[key], state[begin:end], key[0])
         return answer
 
-    def regulator(self, ratio: float, bandwidth: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """(gain, value) of the best active force, which pays with a hundredth of its mean square times the sum of the weights.
-
-        Without that the force for displacement or acceleration alone has no optimum.
-        """
-        weights = self.task.weights_by_name
-        return regulator(plant_system(self.task, 0.0, ratio, bandwidth), weights, PRICE * sum(weights.values()))
-
 
 class ClippedLinearQuadratic(Scheduled):
     """The best linear active force for the weights of the reward, as far as the damper can give it.
@@ -98,7 +88,7 @@ class ClippedLinearQuadratic(Scheduled):
     def make_forms(self, ratio: float, bandwidth: float) -> Any:
         """Feedback gain of the force, and the relative velocity, as rows of the state."""
         system = plant_system(self.task, 0.0, ratio, bandwidth)
-        return self.regulator(ratio, bandwidth)[0], system.signals[self.task.car.motion.relative]
+        return active_force(self.task, ratio, bandwidth)[0], system.signals[self.task.car.motion.relative]
 
     def rule(self, forms: Any, state: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.float64]:
         """D = force over twice the relative velocity, clipped to the range where the damper can only brake."""
@@ -157,7 +147,7 @@ class MixedLookahead(OneStepLookahead):
 
     def value(self, ratio: float, bandwidth: float) -> npt.NDArray[np.float64]:
         """The mixture."""
-        return (1 - self.mixing) * super().value(ratio, bandwidth) + self.mixing * self.regulator(ratio, bandwidth)[1]
+        return (1 - self.mixing) * super().value(ratio, bandwidth) + self.mixing * active_force(self.task, ratio, bandwidth)[1]
 
 
 class OptimalFeedback(Scheduled):

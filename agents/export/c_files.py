@@ -32,7 +32,7 @@ HEADER = """\
  * {name}_observe() makes observations, which the agent takes, of what is measured in these units:
  * measured/scale, kept within +-20; for speed and bandwidth x/(1 + x) with x = measured/scale.{rates}
  *
- * The damping ratio lies within [{low:g}, {high:g}] whatever is measured.{unit}
+ * The damping ratio lies within [{low:g}, {high:g}] whatever is measured.{unit}{filter}
  *
  * C99 and its math.h alone; no memory is allocated, no global is written: any number of dampers may call it at once.
  * {constant} bytes of constants, at most about {variable} bytes on the stack{memory}.
@@ -58,6 +58,11 @@ void {name}_observe(const float measured[{NAME}_SIGNALS], float observation[{NAM
 #endif
 """
 
+FILTERED = """
+ *
+ * It drives by a Kalman filter, which takes each answer to be what was commanded: where something else was, write that into
+ * state->damping[0] before the next call. An observation that is NaN counts as not measured."""
+
 PLAIN = """\
 /* The damping ratio for an observation. */
 float {name}_damping(const float observation[{NAME}_SIGNALS]);"""
@@ -65,8 +70,8 @@ float {name}_damping(const float observation[{NAME}_SIGNALS]);"""
 REMEMBERING = """\
 /* What is remembered from one call to the next; one for each damper. */
 typedef struct {{
-    int begun;
 {fields}
+    int begun;
 }} {name}_state;
 
 /* Forget what was: at the start of a drive. */
@@ -92,7 +97,7 @@ int main(void)
 {state}    for (int k = 0; k < VECTORS; k++) {{
 {begin}        const double difference = fabs((double){call} - (double)answers[k]) / {high};
         if (!(difference <= worst)) worst = difference;
-    }}
+{command}    }}
     printf("%d vectors, largest difference %.2g of the firmest damping: %s\\n", VECTORS, worst,
            worst <= {tolerance:g} ? "passed" : "FAILED");
     return worst <= {tolerance:g} ? 0 : 1;
@@ -178,12 +183,17 @@ def c_files(agent: Agent, name: str) -> dict[str, str]:
         "step": source.statements(f"return {damping.name}[0];"),
     }
     declarations, text, call = PLAIN, PLAIN_SOURCE, f"{name}_damping("
-    memory = begin = state = ""
+    memory = begin = state = command = ""
     if source.state:
-        words["fields"] = "\n".join(f"    float {field}[{length}];" for field, length in source.state.items())
+        fields = sorted(source.state.items(), key=lambda field: field[1][0] != "double")  # without gaps between them
+        words["fields"] = "\n".join(f"    {kind} {field}[{length}];" for field, (kind, length) in fields)
         declarations, text, call = REMEMBERING, REMEMBERING_SOURCE, f"{name}_step(&state, "
-        memory = f", {4 * (1 + sum(source.state.values()))} bytes to remember"
+        doubles = sum(length for kind, length in source.state.values() if kind == "double")
+        others = 1 + sum(length for kind, length in source.state.values() if kind != "double")
+        memory = f", {8 * doubles + 4 * (others + others % 2 * bool(doubles))} bytes to remember"
         begin, state = f"        if (k % {STEPS} == 0) {name}_init(&state);\n", f"    {name}_state state;\n"
+    if agent.filter is not None:
+        command = "        state.damping[0] = answers[k]; /* which is what the car was told */\n"
     low, high = task.damping_range
     header = HEADER.format(
         call=f"{call.partition('(')[0]}()",
@@ -193,6 +203,7 @@ def c_files(agent: Agent, name: str) -> dict[str, str]:
         low=low,
         high=high,
         unit=f" Times {task.car.damping_unit:.9g} it is in N s/m." if task.car.damping_unit else "",
+        filter="" if agent.filter is None else FILTERED,
         constant=4 * (source.numbers["constant"] + before.numbers["constant"]),
         variable=4 * source.numbers["variable"],
         memory=memory,
@@ -201,6 +212,7 @@ def c_files(agent: Agent, name: str) -> dict[str, str]:
     )
     constants = "\n".join([*before.constants, *source.constants])
     check = {"state": state, "begin": begin, "call": f"{call}observations[k])", "high": high, "tolerance": LARGEST_DIFFERENCE}
+    check["command"] = command
     seen, answers = vectors(agent)
     rows = ",\n".join("    {" + ", ".join(map(number, row)) + "}" for row in seen.reshape(-1, size))
     known = {"cars": CARS, "steps": STEPS, "count": answers.size, "rows": rows, "answers": array(answers)}

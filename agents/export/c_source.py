@@ -7,6 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.kalman import KalmanFilter
+
+from .c_filter import c_filter
 from .stages import Array, Value, Writer
 
 FUNCTIONS = {  # of v
@@ -39,17 +42,17 @@ class CSource(Writer):
         prefix: of the names of its constants.
 
     Attributes:
-        constants: definitions of the constants.
+        constants: definitions of the constants, and of the functions that are called.
         body: the statements.
-        state: by name, the size of what is kept.
-        numbers: how many numbers the constants and the variables of the function are.
+        state: by name, type and size of what is kept.
+        numbers: how many numbers, of four bytes, the constants and the variables are.
     """
 
     def __init__(self, prefix: str) -> None:
         self.prefix = prefix
         self.constants: list[str] = []
         self.body: list[str] = []
-        self.state: dict[str, int] = {}
+        self.state: dict[str, tuple[str, int]] = {}
         self.numbers = {"constant": 0, "variable": 0}
         self._kept: list[str] = []
         self._given: set[str] = set()  # literals, which have no entries
@@ -195,12 +198,29 @@ class CSource(Writer):
 
     def recall(self, name: str, start: Value) -> Value:
         """What was kept under a name in the step before."""
-        self.state[name] = start.size
+        self.state[name] = "float", start.size
         return self._each(start.size, f"state->begun ? state->{name}[i] : {self._entry(start)}")
 
     def keep(self, name: str, x: Value) -> None:
         """Keep a vector for the next step."""
         self._kept.append(f"for (int i = 0; i < {x.size}; i++) state->{name}[i] = {self._entry(x)};")
+
+    def filter(self, known: KalmanFilter, x: Value, damping: Value) -> Value:
+        """What a Kalman filter tells, in double precision."""
+        written = c_filter(known)
+        self.constants.append(written.text)
+        self.numbers["constant"] += written.constant // 4
+        self.numbers["variable"] += written.variable // 4
+        self.state |= {
+            "mean": ("double", written.states),
+            "covariance": ("double", written.states**2),
+            "in_force": ("double", 1 + written.waiting),
+            "wait": ("int", written.measured),
+        }
+        y = self._variable(written.told)
+        kept = ", ".join(f"state->{name}" for name in ("begun", "mean", "covariance", "in_force", "wait"))
+        self.body.append(f"filtered({kept}, (double){damping.name}[0], {x.name}, {y.name});")
+        return y
 
     def statements(self, result: str) -> str:
         """The function's body, at whose end it keeps what is to be kept, and does what ``result`` says."""

@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 import roadgym
 from roadgym.installation import needs
+from roadgym.kalman import KalmanFilter
 
 from ..agent import Agent
+from ..errors import AgentError
 from .stages import Array, Value, Writer, observe, signal_table, stages_of, write_through
 
 with needs("onnx"):
@@ -142,6 +144,10 @@ class OnnxGraph(Writer):
     def keep(self, name: str, x: Value) -> None:
         """Keep a vector for the next step: an output."""
         self.kept[name] = x
+
+    def filter(self, known: KalmanFilter, x: Value, damping: Value) -> Value:
+        """Refused: it needs double precision."""
+        raise AgentError("cannot export an agent that sees by a Kalman filter to ONNX, in single precision: --to c has it")
 
 
 def onnx_file(agent: Agent, name: str) -> bytes:

@@ -2,7 +2,7 @@
 
 A stage is a function of a `Writer` and of a vector, and gives a vector. It writes itself in the few operations of a `Writer`,
 each of which `agents.export.c_source` has in C99 and `agents.export.onnx_graph` as nodes of ONNX: what is written once is the
-same in both. Another stage, such as a filter in front of the policy, is one function more in `stages_of`.
+same in both. Another stage is one function more in `stages_of`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from roadgym.kalman import KalmanFilter
 from roadgym.task import OPERATING_POINT, SATURATION, Task
 
 from ..agent import Agent
@@ -35,7 +36,7 @@ class Value:
 
 
 class Writer(abc.ABC):
-    """The operations that stages are made of, all in single precision."""
+    """The operations that stages are made of, all but the filter in single precision."""
 
     @abc.abstractmethod
     def note(self, what: str) -> None:
@@ -93,6 +94,10 @@ class Writer(abc.ABC):
     def keep(self, name: str, x: Value) -> None:
         """Keep a vector for the next step."""
 
+    @abc.abstractmethod
+    def filter(self, known: KalmanFilter, x: Value, damping: Value) -> Value:
+        """What a Kalman filter tells after an observation ``x``, at whose interval's start a damping was commanded."""
+
 
 FUNCTIONS = ("ReLU", "Tanh", "Sigmoid", "ELU", "SiLU", "LeakyReLU")  # as torch.nn calls them, with its parameters
 
@@ -124,6 +129,13 @@ def observe(task: Task, writer: Writer, measured: Value) -> Value:
         else:
             parts.append(writer.clip(x, -SATURATION, SATURATION))
     return writer.join(parts)
+
+
+def estimate(known: KalmanFilter, writer: Writer, observation: Value) -> Value:
+    """What a Kalman filter tells: the observation of its ``full`` task."""
+    writer.note("what is known of car and road")
+    before = writer.recall("damping", writer.constant(known.task.damping_range[0]))
+    return writer.filter(known, observation, before)
 
 
 def see(sight: Sight, writer: Writer, observation: Value) -> Value:
@@ -228,6 +240,7 @@ def _actor_critic(policy: Any) -> list[Any]:
 
 
 ACTORS: Mapping[str, Callable[[Any], list[Any]]] = {  # by algorithm, the modules from what is seen to the action's mean
+    "apg": lambda policy: [policy.features_extractor, policy.network],
     "ppo": _actor_critic,
     "a2c": _actor_critic,
     "recurrent_ppo": lambda policy: [(own := _actor_critic(policy))[0], policy.lstm_actor, *own[1:]],
@@ -252,7 +265,10 @@ def answer(agent: Agent, writer: Writer, x: Value) -> Value:
         action = writer.clip(x, -1.0, 1.0)
     share = writer.combine("*", writer.combine("+", action, writer.constant(1.0)), writer.constant(0.5 * (high - low)))
     damping = writer.combine("+", writer.constant(low), share)
-    return writer.clip(damping, low, high)
+    damping = writer.clip(damping, low, high)
+    if agent.filter is not None:
+        writer.keep("damping", damping)
+    return damping
 
 
 def stages_of(agent: Agent) -> list[Stage]:
@@ -266,10 +282,9 @@ def stages_of(agent: Agent) -> list[Stage]:
         raise AgentError(f"cannot export an agent of {algorithm!r}: known are {', '.join(ACTORS)}")
     if agent.layers:
         raise AgentError("cannot export an agent whose wrapper changes actions: it is Python of its own")
-    if agent.filter is not None:
-        raise AgentError("cannot export an agent that sees by a Kalman filter: the filter is not written, and it needs that")
     modules = ACTORS[algorithm](agent.model.policy)
-    return [functools.partial(see, agent.sight), *map(module_stage, modules), functools.partial(answer, agent)]
+    before = [] if agent.filter is None else [functools.partial(estimate, agent.filter)]
+    return [*before, functools.partial(see, agent.sight), *map(module_stage, modules), functools.partial(answer, agent)]
 
 
 def write_through(stages: Sequence[Stage], writer: Writer, x: Value) -> Value:

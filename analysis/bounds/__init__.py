@@ -103,6 +103,8 @@ def refusal(task: Task, method: str = "fast") -> str | None:
     """
     if not isinstance(task, Task):
         raise ParameterError(f"task must be one that roadgym.task.make_task made, got {shown(task)}")
+    if task.vary is not None:
+        return "cars that differ from episode to episode"
     reasons = [each.refusal(task) for each in chosen_methods(method).values()]
     return None if None in reasons else "; ".join(dict.fromkeys(reason for reason in reasons if reason is not None))
 

@@ -53,6 +53,8 @@ class Car(abc.ABC):
     evaluated: ClassVar[tuple[str, ...]] = ()  # those of them that evaluations tell unasked
     usual_plant: ClassVar[Mapping[str, Any]] = {}  # parameters of the environment where a command is not given them
     starts_on_road: ClassVar[bool] = False  # does an episode start with its heights at that of the road, or at zero
+    is_its_motion: ClassVar[bool] = False  # is its `motion` all that there is, with no equations of the lane functions' own
+    time_powers: ClassVar[Mapping[str, int]] = {}  # powers of w1 over which signals are told that are told in metres
     squared: ClassVar[int] = 0
     working_rows: ClassVar[int] = 0
     prepare: ClassVar[LaneFunction]

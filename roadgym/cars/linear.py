@@ -18,17 +18,20 @@ range of D, whose last terms are below rounding.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..compiled import DAMPING, LANES, LEVEL, LEVEL_EXCESS, WORK, LaneFunction, like
-from ..linear import FloatArray
+from ..linear import FloatArray, Motion
 from ..parameters import ParameterError
 from .base import Car
 
 STATES = 4  # at most
 DEGREE = 12  # in D; with h D times the damper's own rate below 2, the series' rest is below 1e-10
+NODES = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))  # of its Chebyshev series, over [-1, 1]
 FACTORS = STATES * STATES + 2 * STATES  # Phi row by row, then those of the climb and of the excess
 
 PREVIOUS_LEVEL = WORK
@@ -87,6 +90,7 @@ class LinearCar(Car):
     It must rise with the road as a whole: `table` raises `ParameterError` where it does not.
     """
 
+    is_its_motion: ClassVar[bool] = True
     rows = STATES
     working_rows = 1 + FACTORS
     prepare = prepare
@@ -96,36 +100,62 @@ class LinearCar(Car):
         """Heights, and the Chebyshev series of the factors as polynomials in D over its range."""
         from scipy.linalg import expm
 
-        motion = self.motion.own
-        size = len(motion.states)
-        if size > STATES:
-            raise ParameterError(f"a {self.kind} car must have {STATES} states at most, got {', '.join(motion.states)}")
         if (self.rows, self.working_rows, self.squared) != (STATES, LinearCar.working_rows, 0):
             raise ParameterError(f"rows, working_rows and squared of a {self.kind} car are those of LinearCar")
-        heights, relative = motion.follows, motion.rows[list(motion.signals).index(motion.relative)]
-        forces = np.column_stack([np.vstack([motion.drift, relative[:size]]) * heights, [*motion.level_entry, relative[size]]])
-        if np.any(np.abs(forces.sum(axis=1)) > 1e-9 * np.abs(forces).sum(axis=1)):  # beyond what rounding leaves
-            raise ParameterError(f"a {self.kind} car must rise with the road: drift follows + level_entry must be zero")
-        low, high = damping
-        middle, half = (low + high) / 2, max((high - low) / 2, 1e-9)
-        nodes = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
-        factors = np.zeros((DEGREE + 1, FACTORS))
-        for node, row in zip(nodes.tolist(), factors, strict=True):
-            twice = 2 * (middle + half * node)
-            entry = motion.slope_entry - twice * relative[size + 1] * motion.force_entry - heights
-            block = np.zeros((size + 1, size + 1))
-            block[:size, :size], block[:size, size] = motion.drift + twice * motion.damper, entry
-            exponential = expm(block * substep)
-            phi = np.zeros((STATES, STATES))
-            phi[:size, :size] = exponential[:size, :size]
-            climb, excess = np.zeros(STATES), np.zeros(STATES)
-            climb[:size] = exponential[:size, size] / substep
-            excess[:size] = (phi[:size, :size] - np.eye(size)) @ entry
-            row[:] = np.concatenate([phi.ravel(), climb, excess])
-        basis = np.zeros((DEGREE + 1, DEGREE + 1))  # Chebyshev's polynomials in powers
-        for k in range(DEGREE + 1):
-            basis[k, : k + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(DEGREE + 1)[k])
-        powers = (np.polynomial.chebyshev.chebfit(nodes, factors, DEGREE).T @ basis)[:, ::-1]
+        motion, (low, high) = self.motion.own, damping
+        check_rises(motion, self.kind)
+        factors = factors_at_nodes(motion, substep, damping, lambda blocks: np.array([expm(block) for block in blocks]))
+        powers = (np.polynomial.chebyshev.chebfit(NODES, factors, DEGREE).T @ chebyshev_powers())[:, ::-1]
         follows = np.zeros(STATES)
-        follows[:size] = heights
-        return np.concatenate([[middle, 1 / half], follows, powers.ravel()])
+        follows[: len(motion.states)] = motion.follows
+        return np.concatenate([[(low + high) / 2, 1 / max((high - low) / 2, 1e-9)], follows, powers.ravel()])
+
+
+def check_rises(motion: Motion, kind: str) -> None:
+    """Raise `ParameterError` for a car of a ``kind`` with too many states, or that does not rise with the road."""
+    size = len(motion.states)
+    if size > STATES:
+        raise ParameterError(f"a {kind} car must have {STATES} states at most, got {', '.join(motion.states)}")
+    heights, relative = motion.follows, motion.rows[list(motion.signals).index(motion.relative)]
+    forces = np.column_stack([np.vstack([motion.drift, relative[:size]]) * heights, [*motion.level_entry, relative[size]]])
+    if np.any(np.abs(forces.sum(axis=1)) > 1e-9 * np.abs(forces).sum(axis=1)):  # beyond what rounding leaves
+        raise ParameterError(f"a {kind} car must rise with the road: drift follows + level_entry must be zero")
+
+
+def factors_at_nodes(
+    motion: Motion, substep: float, damping: tuple[float, float], exponentials: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """The factors of a substep at the nodes of their Chebyshev series over the range of D, shape (DEGREE + 1, FACTORS).
+
+    Args:
+        motion: the equations, without filters.
+        substep: in units of 1/w1.
+        damping: smallest and largest D that is met.
+        exponentials: of matrices, shape (nodes, n, n).
+    """
+    size, (low, high) = len(motion.states), damping
+    relative = motion.rows[list(motion.signals).index(motion.relative)]
+    middle, half = (low + high) / 2, max((high - low) / 2, 1e-9)
+    blocks, damper = np.zeros((DEGREE + 1, size + 1, size + 1)), motion.damper
+    for node, block in zip(NODES.tolist(), blocks, strict=True):
+        twice = 2 * (middle + half * node)
+        block[:size, size] = motion.slope_entry - twice * relative[size + 1] * motion.force_entry - motion.follows
+        block[:size, :size] = motion.drift + twice * damper
+    factors = np.zeros((DEGREE + 1, FACTORS))
+    for row, block, exponential in zip(factors, blocks, exponentials(blocks * substep), strict=True):
+        phi = np.zeros((STATES, STATES))
+        phi[:size, :size] = exponential[:size, :size]
+        climb, excess = np.zeros(STATES), np.zeros(STATES)
+        climb[:size] = exponential[:size, size] / substep
+        excess[:size] = (phi[:size, :size] - np.eye(size)) @ block[:size, size]
+        row[:] = np.concatenate([phi.ravel(), climb, excess])
+    return factors
+
+
+@functools.cache
+def chebyshev_powers() -> FloatArray:
+    """Chebyshev's polynomials in powers, the lowest first, shape (DEGREE + 1, DEGREE + 1)."""
+    basis = np.zeros((DEGREE + 1, DEGREE + 1))
+    for k in range(DEGREE + 1):
+        basis[k, : k + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(DEGREE + 1)[k])
+    return basis

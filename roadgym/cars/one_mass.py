@@ -164,6 +164,13 @@ class QuarterCar(Car):
     weighting: str | None = None
 
     optional: ClassVar[Mapping[str, Mapping[str, Any]]] = WEIGHTED
+    is_its_motion: ClassVar[bool] = True
+    time_powers: ClassVar[Mapping[str, int]] = {
+        "velocity": 1,
+        "acceleration": 2,
+        "relative_velocity": 1,
+        "weighted_acceleration": 2,
+    }
     squared = len(MEAN_SQUARES)
     working_rows = 4
     prepare = prepare

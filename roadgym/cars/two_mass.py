@@ -38,7 +38,7 @@ RANGE_OF = {  # in `roadgym.parameters.RANGES`, by parameter
 }
 
 
-@functools.cache
+@functools.lru_cache(maxsize=256)
 def motion_of(mass_ratio: float, stiffness_ratio: float, tyre_damping: float) -> Motion:
     """The equations for mu = m_u/m_s, kappa = k_t/k_s and D_t = c_t/(2 sqrt(k_s m_s))."""
     share, tyre, resistance = 1 / mass_ratio, stiffness_ratio / mass_ratio, 2 * tyre_damping / mass_ratio

@@ -1,0 +1,212 @@
+"""Analytic policy gradient, as an algorithm of stable-baselines3: the mean cost, differentiated through the plant.
+
+Algorithms of policy gradients that know nothing of the plant tell from the noise of many drives what another damping would have
+cost. Here the plant is known, but for its road, and linear while D is held: what was driven is driven again in torch over the
+same road (`agents.differentiable`), and the cost of a stretch of it, with a value for what comes after, is differentiated
+through all its intervals by the weights of the policy.
+
+Source: R. J. Williams, "On the use of backpropagation in associative reinforcement learning", ICNN 1988; with a value at the
+end of a short horizon, J. Xu et al., "Accelerated policy learning with parallel differentiable simulation", ICLR 2022.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+
+from roadgym.installation import needs
+from roadgym.parameters import ParameterError, non_negative, positive, shown, whole
+
+from .differentiable import DrivenRoads
+
+with needs("train"):
+    import torch
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+    from stable_baselines3.common.policies import BasePolicy
+    from stable_baselines3.common.torch_layers import create_mlp
+    from stable_baselines3.common.type_aliases import Schedule
+    from stable_baselines3.common.vec_env import VecEnv
+
+
+class DampingPolicy(BasePolicy):
+    """A network that answers with a number whose hyperbolic tangent is the action.
+
+    With features that are even in the state, `agents.features`, it respects the symmetry of road and car exactly.
+
+    Args:
+        observation_space, action_space: of the environment.
+        lr_schedule: learning rate by the share of training that is left.
+        net_arch: sizes of the hidden layers.
+        activation_fn: between them.
+        noise: standard deviation of what is added to the answer where the policy is not deterministic.
+        options: of stable-baselines3's policies, such as ``optimizer_kwargs``.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        lr_schedule: Schedule,
+        net_arch: Sequence[int] = (64, 64),
+        activation_fn: type[torch.nn.Module] = torch.nn.ReLU,
+        noise: float = 0.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(observation_space, action_space, squash_output=True, **options)
+        self.net_arch, self.activation_fn, self.noise = list(net_arch), activation_fn, noise
+        self.features_extractor = self.make_features_extractor()
+        self.network = torch.nn.Sequential(*create_mlp(self.features_extractor.features_dim, 1, self.net_arch, activation_fn))
+        make: Any = self.optimizer_class
+        self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        own = {"net_arch": self.net_arch, "activation_fn": self.activation_fn, "noise": self.noise}
+        options = {name: getattr(self, name) for name in ("optimizer_class", "optimizer_kwargs")}
+        return super()._get_constructor_parameters() | own | options | {"lr_schedule": self._dummy_schedule}
+
+    def forward(self, observations: torch.Tensor, deterministic: bool = False) -> torch.Tensor:
+        """Actions in [-1, 1], shape (n, 1)."""
+        answer = self.network(self.extract_features(observations, self.features_extractor))
+        return torch.tanh(answer if deterministic else answer + self.noise * torch.randn_like(answer))
+
+    def _predict(self, observation: Any, deterministic: bool = False) -> torch.Tensor:
+        return self.forward(observation, deterministic)
+
+
+class APG(OnPolicyAlgorithm):
+    """Analytic policy gradient on an `agents.vec_env.QuarterCarVecEnv`, within any of stable-baselines3's wrappers.
+
+    Rewards are not looked at: what is learned is the least mean cost of the environment itself.
+
+    Args:
+        policy: "MlpPolicy", a `DampingPolicy`.
+        env: the environment.
+        learning_rate: of Adam, or its schedule.
+        n_steps: control intervals of every car between two visits to the plant.
+        horizon: intervals of a stretch through which is differentiated, at most ``n_steps``.
+        gradient_steps: stretches after each visit, one for each step of the optimiser; each is of all cars.
+        noise: standard deviation of normal noise on what the policy answers, before it is squashed, in training: so it learns
+            too where it would be at an end of the range.
+        max_grad_norm: at most the norm of a gradient.
+        policy_kwargs, stats_window_size, tensorboard_log, verbose, seed, device: as of stable-baselines3's algorithms.
+
+    Raises:
+        ParameterError: one of these out of range, or an environment that cannot be differentiated.
+    """
+
+    learns_from: ClassVar[str] = "gradient"  # as agent.json tells
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": DampingPolicy}
+
+    def __init__(
+        self,
+        policy: str | type[DampingPolicy],
+        env: VecEnv,
+        learning_rate: float | Schedule = 3e-3,
+        n_steps: int = 64,
+        horizon: int = 32,
+        gradient_steps: int = 8,
+        noise: float = 0.1,
+        max_grad_norm: float = 1.0,
+        policy_kwargs: dict[str, Any] | None = None,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: torch.device | str = "cpu",
+        _init_setup_model: bool = True,
+    ) -> None:
+        self.horizon = whole("horizon", horizon)
+        self.gradient_steps = whole("gradient_steps", gradient_steps)
+        self.noise = non_negative("noise", noise)
+        if whole("n_steps", n_steps) < horizon:
+            raise ParameterError(f"horizon must be at most n_steps, {n_steps}, got {shown(horizon)}")
+        super().__init__(
+            policy,  # type: ignore[arg-type]
+            env,
+            learning_rate,
+            n_steps=n_steps,
+            gamma=1.0,
+            gae_lambda=1.0,
+            ent_coef=0.0,
+            vf_coef=0.0,
+            max_grad_norm=positive("max_grad_norm", max_grad_norm),
+            use_sde=False,
+            sde_sample_freq=-1,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            policy_kwargs={"noise": noise} | (policy_kwargs or {}),
+            verbose=verbose,
+            seed=seed,
+            device=device,
+            supported_action_spaces=(spaces.Box,),
+            _init_setup_model=_init_setup_model,
+        )
+
+    def _setup_model(self) -> None:
+        """Make the network, and where there is an environment what records its roads."""
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        made = self.policy_class(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
+        self.policy = made.to(self.device)  # type: ignore[assignment]
+        if self.env is not None:
+            self.rollout_buffer = self._recorder(self.env)  # type: ignore[assignment]
+
+    def _recorder(self, env: VecEnv) -> DrivenRoads:
+        driven = getattr(env.unwrapped, "driven_roads", None)
+        if driven is None:
+            raise ParameterError(f"env must be a QuarterCarVecEnv for a gradient through the plant, got {shown(env.unwrapped)}")
+        found: DrivenRoads = driven(self.n_steps)
+        return found
+
+    def set_env(self, env: Any, force_reset: bool = True) -> None:
+        """Go on in another environment."""
+        super().set_env(env, force_reset)
+        assert self.env is not None
+        self.rollout_buffer = self._recorder(self.env)  # type: ignore[assignment]
+
+    def collect_rollouts(self, env: VecEnv, callback: BaseCallback, rollout_buffer: Any, n_rollout_steps: int) -> bool:
+        """Drive with the policy and record the roads; false where a callback ends the training."""
+        self.policy.set_training_mode(False)
+        callback.on_rollout_start()
+        batch: Any = env.unwrapped
+        for step in range(n_rollout_steps):
+            seen: Any = self._last_obs
+            rollout_buffer.note(step, *batch.road_and_car())
+            with torch.no_grad():
+                actions = self.policy(torch.as_tensor(seen)).numpy()
+            new_obs: Any
+            new_obs, rewards, dones, infos = env.step(actions)
+            self.num_timesteps += env.num_envs
+            callback.update_locals(locals())
+            if not callback.on_step():
+                return False
+            self._update_info_buffer(infos, dones)
+            rollout_buffer.answer(step, seen, actions, dones)
+            self._last_obs, self._last_episode_starts = new_obs, dones
+        rollout_buffer.note(n_rollout_steps, *batch.road_and_car())
+        rollout_buffer.finish()
+        callback.update_locals(locals())
+        callback.on_rollout_end()
+        return True
+
+    def train(self) -> None:
+        """Some steps down the gradient of the cost over what was driven last."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        roads: Any = self.rollout_buffer
+        starts, length = roads.windows(self.horizon)
+        costs, norms = [], []
+        for _ in range(self.gradient_steps):
+            start = int(starts[int(torch.randint(len(starts), ()))])
+            cost = roads.cost(self.policy.network, start, length, self.noise)
+            self.policy.optimizer.zero_grad()
+            cost.backward()
+            norms.append(float(torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)))
+            self.policy.optimizer.step()
+            costs.append(float(cost.detach()))
+        self.logger.record("train/cost", np.mean(costs))  # in shares of that of the best constant damping
+        self.logger.record("train/gradient_norm", np.mean(norms))

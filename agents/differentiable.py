@@ -1,0 +1,258 @@
+"""The plant as torch sees it: what a policy does to the car over roads that were driven, and what it costs, with gradients.
+
+The road does not heed the car, and what the car does of it is known (`analysis.interval`). So a drive that was recorded can be
+driven again with another policy, over the same road and with the same noise, and the costs be differentiated through every
+interval: the gradient along the path of that noise, whose mean is that of the mean cost. What the interval's model leaves out,
+the path of the road between the ends of intervals, is what it was in the recorded drive.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.interval import Interval
+from analysis.quadratic import active_force, has_quadratic_value, plant_system, value_form
+from roadgym.installation import needs
+from roadgym.linear import LinearSystem
+from roadgym.parameters import ParameterError
+from roadgym.roads import FirstOrderRoad, GaussianRoad
+from roadgym.task import OPERATING_POINT, SATURATION, Task
+
+from .advantage import ROAD_STATES, is_differentiable
+from .differentiable_filter import DrivenFilter, Filtering, Following, powers, single
+from .features import Features, Sight
+
+with needs("train"):
+    import torch
+    from torch import Tensor
+
+CHOICES = 9  # constant dampings of which one is nearly the best
+ACTIVE = 0.5  # share of the value of an active force in that of the end of a stretch
+LIKENESS = 0.1  # bandwidth of the road whose value stands in for that of a road that theory has none for
+
+
+class DrivenRoads:
+    """Drives of a batch, by which gradients are worked out.
+
+    Args:
+        task: the plant.
+        sight: what the policy sees of it.
+        num_envs: cars of the batch.
+        steps: control intervals that are recorded.
+        estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
+
+    Raises:
+        ParameterError: a stack of observations, a valve, cars that vary, or sensors without one plain filter of them.
+    """
+
+    def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int, estimator: Filtering | None = None) -> None:
+        if not is_differentiable(task, None if estimator is None else "kalman"):
+            but = "" if estimator is None else " but for noise, speed and bandwidth known"
+            needed = f"sensors and valve must be ideal{but}, and cars alike,"
+            raise ParameterError(f"{needed} for a gradient through the plant: choose another algorithm")
+        if sight.frame_stack > 1:
+            raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
+        interval = Interval.of(task)
+        self._task, self._steps, self._duration, self._smooth = task, steps, interval.duration, interval.smooth
+        self._terms, self._inputs, self._cars = interval.motion.shape
+        both = [np.moveaxis(part, 1, 0).reshape(self._inputs, -1) for part in (interval.motion, interval.cost)]
+        self._polynomials = single(np.concatenate(both, axis=1))
+        self._relative, self._signals = (single(rows) for rows in observed_rows(task))
+        self._filter = None if estimator is None else DrivenFilter(estimator, num_envs, steps)
+        self._names = task.signals if estimator is None else estimator.filter.full.signals
+        self._features = sight.features
+        self._combined = None if sight.features is None else Seen(sight.features, len(self._names))
+        self._states = np.empty((steps + 1, num_envs, self._cars + 5))
+        self._seen = np.empty((steps, num_envs, *sight.space.shape), np.float32)
+        self._places = np.empty((steps, num_envs), np.float32)
+        self._ended = np.zeros((steps, num_envs), np.bool_)
+        self._points = np.empty((0, 2))
+
+    def note(self, step: int, state: npt.NDArray[np.float64], rate: npt.NDArray[np.float64]) -> None:
+        """Record where a step begins, and after the last one where it ends.
+
+        Args:
+            step: its number.
+            state: as of `roadgym.vector.QuarterCarVectorEnv.state`.
+            rate: of the angle of the road now, over w1, shape (num_envs,).
+        """
+        self._states[step] = np.column_stack([state, rate])
+        if self._filter is not None:
+            self._filter.note(step)
+
+    def answer(
+        self, step: int, seen: npt.NDArray[np.float32], action: npt.NDArray[np.float32], ended: npt.NDArray[np.bool_]
+    ) -> None:
+        """Record what was seen before a step, what was answered, shape (num_envs, 1), and whose episode ended with it."""
+        self._seen[step], self._places[step], self._ended[step] = seen, action[:, 0], ended
+
+    def finish(self) -> None:
+        """Work out what the road did, after the last note."""
+        states = single(self._states)
+        self._car, self._road = states[..., : self._cars], states[..., self._cars : self._cars + 2]
+        self._path = torch.stack([self._road[..., 0], self._road[..., 1] * states[..., -1]], -1)  # the level and its rate
+        ends = self._path if self._smooth else self._path[..., :1]
+        self._ends = torch.cat([ends[:-1], ends[1:]], -1)
+        place = torch.from_numpy(self._places).flatten()
+        moved, _ = self._interval(self._car[:-1].flatten(0, 1), self._ends.flatten(0, 1), place)
+        self._left = self._car[1:] - moved.view_as(self._car[1:])
+        if self._filter is not None:
+            found = self._observed(
+                self._car[1:].flatten(0, 1), place, self._path[1:].flatten(0, 1), self._road[1:].flatten(0, 1)
+            )
+            self._filter.finish(found[:, self._filter.columns].view(*self._places.shape, -1))
+
+    def windows(self, longest: int) -> tuple[npt.NDArray[np.intp], int]:
+        """(first steps, length) of stretches within an episode of some car, for `cost`; as long as ``longest`` if possible."""
+        left, reach = np.zeros(self._ended.shape[1], np.intp), np.empty(self._steps, np.intp)
+        for step in range(self._steps - 1, -1, -1):
+            left = np.where(self._ended[step], 0, left + 1)
+            reach[step] = left.max()
+        length = max(1, min(longest, int(reach.max())))
+        return np.flatnonzero(reach >= length), length
+
+    def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float) -> Tensor:
+        """What a policy costs from ``start`` on: over ``length`` intervals, and for ever after by `values`.
+
+        It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time.
+
+        Args:
+            policy: takes what is seen, shape (n, size), to numbers, shape (n, 1), whose hyperbolic tangent is the place of D in
+                its range.
+            start: one of `windows`.
+            length: number of intervals.
+            noise: standard deviation of normal noise on the policy's answers.
+        """
+        ended = self._ended[start : start + length].any(axis=0)
+        rows = torch.from_numpy(np.flatnonzero(~ended)) if ended.any() else slice(None)  # to pick all takes time
+        self._look(self._states[start, :, self._cars + 2 : self._cars + 4])
+        car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
+        follow = None if self._filter is None else self._filter.begin(start, rows)
+        place = total = torch.zeros(len(car))
+        for step in range(start, start + length):
+            answer = policy(seen if step == start else self._sees(car, place, step, rows, follow))[:, 0]
+            place = torch.tanh(answer + noise * torch.randn(len(car)))
+            moved, cost = self._interval(car, self._ends[step, rows], place)
+            car, total = moved + self._left[step, rows], total + cost
+        value = self._value[rows]
+        state = torch.cat([car, self._road[start + length, rows]], 1)[:, : value.shape[1]]
+        after = (state * (value @ state[:, :, None])[:, :, 0]).sum(1)
+        return ((total * self._duration + after) / self._reference[rows]).mean() / (length * self._duration)
+
+    def _interval(self, car: Tensor, ends: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
+        """(states of the car at the end, mean cost) of an interval, by its polynomials in the place of D."""
+        given = torch.cat([car, ends], 1)
+        motion, cost = torch.tensor_split(given @ self._polynomials, (self._terms * self._cars,), 1)
+        squares = cost.view(-1, self._terms, self._inputs) @ given[:, :, None]
+        weights = powers(place, self._terms)[:, None]
+        return (weights @ motion.view(-1, self._terms, self._cars))[:, 0], (weights @ squares)[:, 0, 0]
+
+    def _sees(self, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None) -> Tensor:
+        """What the policy sees before a step, after an interval at a damping in ``place``."""
+        told = self._observed(car, place, self._path[step, rows], self._road[step, rows])
+        if self._filter is not None and follow is not None:
+            told = follow(step, place, told[:, self._filter.columns])
+        observed = told + self._shares[rows]
+        return observed if self._combined is None else self._combined(observed, self._forms[rows])
+
+    def _observed(self, car: Tensor, place: Tensor, path: Tensor, road: Tensor) -> Tensor:
+        """What ideal sensors tell after an interval at a damping in ``place``, shape (n, signals), the operating point 0."""
+        moving = torch.cat([car, path], 1)
+        low, high = self._task.damping_range
+        force = (2 * low + (high - low) * (place + 1)) * (moving @ self._relative)
+        return (torch.cat([moving, force[:, None], road[:, 1:]], 1) @ self._signals).clamp(-SATURATION, SATURATION)
+
+    def _look(self, points: npt.NDArray[np.float64]) -> None:
+        """Prepare for operating points (nu, delta) of all cars, shape (n, 2)."""
+        if np.array_equal(points, self._points):  # within an episode they stay
+            return
+        self._points, names = points.copy(), self._names
+        self._value, self._reference = (single(part) for part in values(self._task, points))
+        shares = points * [1, 2] / (1 + points * [1, 2])
+        observed = np.zeros((len(points), len(names)), np.float32)
+        for name, share in zip(OPERATING_POINT, shares.T, strict=True):
+            if name in names:
+                observed[:, names.index(name)] = share
+        lookahead = None if self._features is None else self._features.lookahead
+        forms = np.empty((len(points), 0)) if lookahead is None else lookahead.forms(observed[:, lookahead.point])
+        self._shares, self._forms = single(observed), single(forms)
+
+
+class Seen:
+    """`agents.features.Features` in torch, of observations, shape (n, signals).
+
+    Columns are picked by products with matrices of zeros and ones, whose gradients are quicker than those of indices.
+    """
+
+    def __init__(self, features: Features, signals: int) -> None:
+        def picking(columns: npt.ArrayLike) -> Tensor:
+            return single(np.eye(signals)[:, np.asarray(columns, np.intp)])
+
+        state, self._features = np.array(features.state, np.intp), features
+        self._state, self._point = picking(state), picking(features.point)
+        self._pairs = picking(state[features.first]), picking(state[features.second])
+        lookahead = features.lookahead
+        if lookahead is not None:
+            columns = np.array(lookahead.columns)
+            self._squares = picking(columns[lookahead.first]), picking(columns[lookahead.second])
+
+    def __call__(self, observed: Tensor, forms: Tensor) -> Tensor:
+        """What the policy sees, with the forms of the lookahead there."""
+        state = observed @ self._state
+        scale = torch.rsqrt(1 + (state * state).sum(1, keepdim=True))
+        parts = [(observed @ self._point - 0.5) * 4]
+        if self._features.signals:
+            parts.append(state)
+        if self._features.products:
+            first, second = self._pairs
+            parts.append((observed @ first) * (observed @ second) * scale)
+        if self._features.lookahead is not None:
+            first, second = self._squares
+            squares = (observed @ first) * (observed @ second)
+            parts.append(((forms[:, :, :-1] @ squares[:, :, None])[:, :, 0] + forms[:, :, -1]) * scale)
+        return torch.cat(parts, 1)
+
+
+def observed_rows(task: Task) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(relative velocity, observed signals) as factors of the states of the car, Z and dZ/dt; and of the damper's force and U.
+
+    Shapes (states + 2,) and (states + 4, signals); speed and bandwidth are zero.
+    """
+    motion = task.car.motion
+    known = dict(zip(motion.signals, motion.rows, strict=True))
+    places = {name: n for n, name in enumerate(motion.states)} | {"level": len(motion.states), "slope": len(motion.states) + 3}
+    rows = np.zeros((len(task.signals), len(motion.states) + 4))
+    for row, name in zip(rows, task.signals, strict=True):
+        if name in known:
+            row[:-1] = known[name]
+        elif name in places:
+            row[places[name]] = 1.0
+    return known[motion.relative][:-1], rows.T
+
+
+def values(task: Task, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(relative value of what takes over as a form of car and road, mean cost of nearly the best constant damping).
+
+    At operating points (nu, delta), shape (n, 2); of shapes (n, k, k) and (n,). The value is halfway between those of the
+    constant damping and of the best active force: what a damper can do lies between the two. Where theory knows neither, it is
+    the constant damping's on a second- or first-order road, which tells as well what the end of a drive is worth.
+    """
+    nu, delta = points.T[:, :, None]
+    dampings = np.geomspace(*task.damping_range, CHOICES)
+    road = task.road.shaping_filter()
+    known = has_quadratic_value(task) and road is not None and set(road.states) <= ROAD_STATES
+    if known:
+        system = plant_system(task, dampings, nu, delta)
+    else:
+        like = GaussianRoad().shaping_filter(np.where(delta > 0, delta, LIKENESS))
+        system = LinearSystem.of(
+            like if task.road.has_slope else FirstOrderRoad().shaping_filter(), task.car.motion, damping=dampings, ratio=nu
+        )
+    forms, costs = value_form(system, task.weights_by_name)
+    best = np.argmin(costs, axis=1)[:, None]
+    value, cost = np.take_along_axis(forms, best[:, :, None, None], 1)[:, 0], np.take_along_axis(costs, best, 1)[:, 0]
+    if known:
+        active = np.array([active_force(task, *point)[1] for point in points.tolist()])
+        value = (1 - ACTIVE) * value + ACTIVE * active
+    return value, cost

@@ -1,0 +1,138 @@
+"""The Kalman filter as torch sees it: what it would have known, had the car been damped otherwise, with gradients.
+
+A drive that was recorded is driven again (`agents.differentiable`); the sensors tell of the new one with the errors that they
+had in the old one, and mean and covariance follow as in `roadgym.kalman`, both by the damping: so the gradient knows what a
+damping does to the car, and what it does to what is known of the car.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from roadgym.installation import needs
+from roadgym.kalman import Belief, KalmanFilter, Rows
+from roadgym.task import OPERATING_POINT, SATURATION
+
+with needs("train"):
+    import torch
+    from torch import Tensor
+
+ROUNDING = 1e-6  # variance of a measurement in single precision
+SERIES = 1e-7  # of the largest coefficient, below which those of a series are left out
+
+
+class Filtering(Protocol):
+    """A layer of a batch that filters, `roadgym.wrappers.VectorKalmanObservation`."""
+
+    filter: KalmanFilter
+    belief: Belief | None
+    measured: Rows
+
+
+class DrivenFilter:
+    """The filters of a batch while it is recorded, and when it is driven again.
+
+    Args:
+        layer: what filters, one filter a car, of sensors that tell at once and have no biases.
+        num_envs: cars of the batch.
+        steps: control intervals that are recorded.
+
+    Attributes:
+        task: what is measured.
+        columns: of the measured signals, in its observation.
+    """
+
+    def __init__(self, layer: Filtering, num_envs: int, steps: int) -> None:
+        self.task, self._layer, self._known = layer.filter.task, layer, layer.filter
+        self.columns = [self.task.signals.index(name) for name in layer.filter.measured]
+        self._beliefs: list[Belief | None] = [None] * (steps + 1)
+        self._measured = np.empty((steps + 1, num_envs, len(self.columns)), np.float32)
+        self._low, high = self.task.damping_range
+        self._width = high - self._low
+        self._noise = np.maximum(layer.filter.noise, ROUNDING).tolist()
+        self._looked: Belief | None = None
+
+    def note(self, step: int) -> None:
+        """Record what is known where a step begins, or after the last one where it ends."""
+        self._beliefs[step], self._measured[step] = self._layer.belief, self._layer.measured[:, self.columns]
+
+    def finish(self, true: Tensor) -> None:
+        """Work out the errors of the sensors from what they would have told without, from the second step on.
+
+        Args:
+            true: shape (steps, num_envs, measured).
+        """
+        self._errors = torch.from_numpy(self._measured[1:]) - true
+
+    def begin(self, step: int, rows: Tensor | slice) -> Following:
+        """The filters of some cars as they were at the beginning of a step."""
+        belief = self._beliefs[step]
+        assert belief is not None
+        if self._looked is None or belief.model is not self._looked.model or belief.place is not self._looked.place:
+            self._look(belief)
+        return Following(self, belief, rows)
+
+    def _look(self, belief: Belief) -> None:
+        """Prepare for the models of all cars, which stay within an episode."""
+        model, place, self._looked = belief.model, belief.place, belief
+        sizes = np.abs(model.series).max(axis=(0, 2))
+        count = int(np.flatnonzero(sizes > SERIES * sizes.max())[-1]) + 1
+        shares = np.array([np.pad(np.polynomial.chebyshev.cheb2poly(row), (0, count))[:count] for row in np.eye(count)])
+        series = np.einsum("kc,pke->pce", shares, model.series[:, :count])
+        names = self._known.full.signals
+        told = np.zeros((len(model.told), model.told.shape[2], len(names)))
+        told[:, :, [n for n, name in enumerate(names) if name not in OPERATING_POINT]] = np.moveaxis(model.told, 1, 2)
+        self._series, self._rows, self._told = (single(part[place]) for part in (series, model.rows, told))
+
+
+class Following:
+    """The filters of some cars along a stretch that is driven again.
+
+    Args:
+        driven: those that were recorded.
+        belief: what was known at its beginning.
+        rows: the cars.
+    """
+
+    def __init__(self, driven: DrivenFilter, belief: Belief, rows: Tensor | slice) -> None:
+        self._driven, self._cars = driven, rows
+        self._mean, self._covariance = single(belief.mean)[rows], single(belief.covariance)[rows]
+        self._series, self._rows, self._told = (part[rows] for part in (driven._series, driven._rows, driven._told))
+
+    def __call__(self, step: int, place: Tensor, true: Tensor) -> Tensor:
+        """What the filters tell before a step, shape (n, signals), the operating point 0.
+
+        Args:
+            step: its number.
+            place: of D in its range, -1 to 1, in the interval before; shape (n,).
+            true: what ideal sensors would tell, shape (n, measured).
+        """
+        driven, size = self._driven, self._mean.shape[1]
+        transition, noise = (powers(place, self._series.shape[1])[:, None] @ self._series).view(-1, 2, size, size).unbind(1)
+        mean = (transition @ self._mean[:, :, None])[:, :, 0]
+        covariance = transition @ self._covariance @ transition.mT + noise
+        damping = (driven._low + driven._width * (place + 1) / 2)[:, None, None]
+        rows = self._rows[:, 0] + damping * self._rows[:, 1]
+        measured = true + driven._errors[step - 1, self._cars]
+        for j, variance in enumerate(driven._noise):
+            row = rows[:, j]
+            gain = (covariance @ row[:, :, None])[:, :, 0]
+            spread = variance + (gain * row).sum(1, keepdim=True)
+            mean = mean + gain * ((measured[:, j] - (row * mean).sum(1))[:, None] / spread)
+            covariance = covariance - gain[:, :, None] * (gain / spread)[:, None]
+        self._mean, self._covariance = mean, covariance
+        return (mean[:, None] @ self._told)[:, 0].clamp(-SATURATION, SATURATION)
+
+
+def powers(place: Tensor, count: int) -> Tensor:
+    """Powers from 0 on of places, shape (n, count)."""
+    return torch.stack([torch.ones_like(place), *itertools.accumulate([place] * (count - 1), torch.mul)], 1)
+
+
+def single(array: npt.NDArray[np.floating]) -> Tensor:
+    """The array in single precision."""
+    return torch.from_numpy(np.ascontiguousarray(array, np.float32))

@@ -1,0 +1,250 @@
+"""Analytic policy gradient: the plant in torch, the policy, and what is learned in seconds."""
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+import agents
+from agents.analytic_gradient import APG
+from agents.controllers import make_controller
+from agents.differentiable import Seen, values
+from agents.evaluation import evaluate
+from agents.features import Sight
+from agents.report import theory_given
+from agents.training import load_hyperparameters, make_model, usual_algorithm
+from agents.vec_env import QuarterCarVecEnv
+from agents.wrappers import learning
+from roadgym import ParameterError
+from roadgym.task import make_task
+
+RANGES = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.4)}
+SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "gradient_steps": 4, "features": ["products"]}
+PLANTS = {
+    "bounded": {"road": "multiplicative", **RANGES},
+    "comfort": {"road": "gaussian", "reward": {"acceleration": 1.0, "travel": 0.5}, **RANGES},
+    "first order": {"road": "first_order", "speed": (0.5, 2.0), "reward": {"displacement": 1.0, "travel": 1.0}},
+    "two masses": {"road": "iso_c", "car": "two_mass", "speed": (15.0, 25.0), "observation": ["acceleration", "travel"]},
+    "weighted": {"road": "iso_c", "car": "two_mass", "speed": (15.0, 25.0), "reward": {"weighted_acceleration": 1.0}},
+    "white": {"road": "harmonic", "speed_noise": "white", "speed": (0.5, 2.0)},
+    "low-pass": {"road": "harmonic", "speed_noise": "low_pass", "observation": ["travel", "relative_velocity", "speed"]},
+}
+
+
+def parameters(**changes):
+    return load_hyperparameters("apg") | SMALL | changes
+
+
+def driven(plant, **changes):
+    """A model that has driven once, and what it drove."""
+    model = make_model("apg", parameters(**changes), PLANTS[plant], 3, None)
+    model.learn(model.n_envs * model.n_steps)
+    return model, model.rollout_buffer
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_what_was_driven_is_driven_again(plant):
+    """With the policy that drove, the torch plant comes by the states, and the observations, of the environment."""
+    _, roads = driven(plant, noise=0.0, policy_kwargs={"net_arch": [8]})
+    step, rows = 4, slice(None)
+    car, ends, place = roads._car[step], roads._ends[step], torch.from_numpy(roads._places[step])
+    moved, cost = roads._interval(car, ends, place)
+    scale = roads._car.abs().mean()
+    assert (moved + roads._left[step] - roads._car[step + 1]).abs().max() < 1e-5 * scale
+    assert (moved - roads._car[step + 1]).abs().mean() < 0.05 * scale  # of the road between the ends little is left out
+    roads._look(roads._states[step, :, -3:-1])
+    seen = roads._sees(roads._car[step + 1], place, step + 1, rows, None)
+    np.testing.assert_allclose(seen, roads._seen[step + 1], rtol=1e-3, atol=1e-3)
+    assert float(cost.mean()) > 0
+
+
+@pytest.mark.parametrize("plant", ["bounded", "comfort", "two masses", "low-pass"])
+def test_costs_of_intervals_are_those_of_the_environment(plant):
+    """Mean costs of the intervals of a drive agree with its rewards, but for what the road does within them."""
+    environment = PLANTS[plant]
+    envs = QuarterCarVecEnv(64, environment=environment, features=["signals"])
+    envs.seed(5)
+    envs.reset()
+    roads, paid = envs.driven_roads(120), np.zeros((120, 64))
+    rng = np.random.default_rng(1)
+    for step in range(120):
+        roads.note(step, *envs.road_and_car())
+        action = rng.uniform(-1, 1, (64, 1)).astype(np.float32)
+        seen, paid[step], ended, _ = envs.step(action)
+        roads.answer(step, seen, action, ended)
+    roads.note(120, *envs.road_and_car())
+    roads.finish()
+    _, cost = roads._interval(
+        roads._car[:-1].flatten(0, 1), roads._ends.flatten(0, 1), torch.from_numpy(roads._places).flatten()
+    )
+    modelled = cost.numpy().reshape(120, 64)
+    assert modelled[40:].mean() == pytest.approx(-paid[40:].mean(), rel=0.03)
+    assert np.corrcoef(modelled[40:].ravel(), paid[40:].ravel())[0, 1] < -0.99
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_gradients_are_those_of_finite_differences(plant):
+    model, roads = driven(plant, noise=0.0, policy_kwargs={"net_arch": [8], "activation_fn": "Tanh"})
+    network = model.policy.network
+    weights = list(network.parameters())
+    direction = [torch.randn_like(weight) for weight in weights]
+    cost = roads.cost(network, 2, 8, 0.0)
+    slope = sum((a * b).sum() for a, b in zip(torch.autograd.grad(cost, weights), direction, strict=True))
+    moved = []
+    for sign in (1, -1):
+        with torch.no_grad():
+            for weight, along in zip(weights, direction, strict=True):
+                weight += sign * 0.015 * along
+            moved.append(float(roads.cost(network, 2, 8, 0.0)))
+            for weight, along in zip(weights, direction, strict=True):
+                weight -= sign * 0.015 * along
+    assert (moved[0] - moved[1]) / 0.03 == pytest.approx(float(slope), rel=0.03, abs=1e-3)
+
+
+def test_what_another_damping_does_to_the_car_is_what_the_environment_does():
+    """The same roads twice, with another damping in one interval: the change of the states after it is the model's."""
+    environment = PLANTS["bounded"]
+    ends = []
+    for place in (-0.2, 0.2):
+        envs = QuarterCarVecEnv(64, environment=environment, features=["signals"])
+        envs.seed(7)
+        seen = envs.reset()
+        roads = envs.driven_roads(41)
+        for step in range(41):
+            roads.note(step, *envs.road_and_car())
+            action = np.full((64, 1), place if step == 40 else 0.0, np.float32)
+            before, (seen, _, ended, _) = seen, envs.step(action)
+            roads.answer(step, before, action, ended)
+        roads.note(41, *envs.road_and_car())
+        roads.finish()
+        ends.append(roads)
+    first, second = ends
+    changed = second._car[41] - first._car[41]
+    moved = [first._interval(first._car[40], first._ends[40], torch.full((64,), place))[0] for place in (-0.2, 0.2)]
+    assert (moved[1] - moved[0] - changed).abs().max() < 0.03 * changed.abs().max()
+
+
+@pytest.mark.parametrize("plant", ["comfort", "two masses"])
+def test_the_end_of_a_stretch_is_worth_what_the_mixed_lookahead_says(plant):
+    task = make_task(**{**PLANTS[plant], "observation": None})
+    point = (1.5, 0.2 if plant == "comfort" else 0.0)
+    found, cost = values(task, np.array([point]))
+    expected, constant = (make_controller("mixed_lookahead", task, mixing=mixing).value(*point) for mixing in (0.5, 0.0))
+    apart = np.abs(expected - constant).max()
+    np.testing.assert_allclose(found[0], expected, atol=0.1 * apart)  # but for a constant damping that is nearly the best
+    assert cost > 0
+
+
+@pytest.mark.parametrize("features", [["products"], ["signals", "products", "lookahead"], ["signals"]])
+def test_features_in_torch_are_those_that_the_agent_sees(features):
+    task = make_task(**PLANTS["bounded"], observation=["travel", "displacement", "velocity", "level", "slope"])
+    sight = Sight(task, features)
+    observations = np.random.default_rng(0).uniform(0.1, 0.7, (20, 7)).astype(np.float32)
+    lookahead = sight.features.lookahead
+    forms = np.empty((20, 0)) if lookahead is None else lookahead.forms(observations[:, lookahead.point])
+    seen = Seen(sight.features, 7)(torch.from_numpy(observations), torch.from_numpy(forms))
+    np.testing.assert_allclose(seen, sight(observations, None), rtol=1e-5, atol=1e-5)
+
+
+def test_the_policy_is_even_in_the_state():
+    model, _ = driven("bounded", features=["products", "lookahead"])
+    sight = Sight(make_task(**PLANTS["bounded"]), ["products", "lookahead"])
+    observations = np.random.default_rng(3).normal(size=(50, 6)).astype(np.float32)
+    observations[:, 4:] = 0.4
+    mirrored = observations * np.float32([-1, -1, -1, -1, 1, 1])
+    answers = [model.predict(sight(rows, None), deterministic=True)[0] for rows in (observations, mirrored)]
+    np.testing.assert_array_equal(*answers)
+    assert np.ptp(answers[0]) > 0
+
+
+def test_seconds_of_training_save_most_of_what_feedback_can(tmp_path):
+    environment = {"road": "multiplicative", "speed": (1.0, 2.0), "bandwidth": (0.1, 0.3)}
+    chosen = parameters(n_envs=64, n_steps=32, horizon=16, gradient_steps=8, features=["products"], n_timesteps=40 * 2048)
+    agent = agents.train(tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=chosen)
+    found = evaluate({"agent": agent}, environment=environment, speeds=[1.5], bandwidths=[0.1], episodes=16)["agent"]
+    assert found.mean < 0.5  # the best constant damping costs .982, the optimal feedback .227
+
+
+def test_it_is_what_is_trained_where_nothing_is_chosen(tmp_path):
+    agent = agents.train(tmp_path / "a", environment=PLANTS["white"], timesteps=1)
+    assert [agent.description[name] for name in ("algorithm", "training_reward")] == ["apg", "gradient"]
+    assert theory_given(agent).startswith("learned from the cost, differentiated through the plant")
+    ideal = make_task(**PLANTS["white"])
+    slow, noisy = make_task(valve={"delay": 0.2}), make_task(sensors={"noise": 0.1})
+    assert usual_algorithm(ideal, True) == usual_algorithm(ideal, False, ["module:Wrapper"]) == "ppo"
+    assert usual_algorithm(slow, False) == usual_algorithm(noisy, False) == "ppo"
+    assert usual_algorithm(noisy, False, (), "kalman") == "apg"
+    hidden, late = make_task(speed=(0.7, 3.0), observe_operating_point=False), make_task(sensors={"delay": 0.2})
+    for task in (slow, hidden, late):
+        assert usual_algorithm(task, False, (), "kalman") == "ppo"
+    assert usual_algorithm(make_task(), False) == "apg"
+
+
+def test_other_wrappers_of_stable_baselines_do_not_disturb():
+    envs = VecNormalize(QuarterCarVecEnv(8, environment=PLANTS["bounded"], features=["products"]), norm_obs=False)
+    model = APG("MlpPolicy", envs, n_steps=8, horizon=4, gradient_steps=1, seed=1)
+    model.learn(64)
+    assert model.num_timesteps == 64
+    assert model.policy.noise == 0.1
+
+
+def test_saved_model_and_policy_predict_the_same(tmp_path):
+    model, roads = driven("bounded")
+    seen = roads._seen[3]
+    expected = model.predict(seen, deterministic=True)[0]
+    model.save(tmp_path / "model.zip")
+    loaded = APG.load(tmp_path / "model.zip")
+    np.testing.assert_array_equal(loaded.predict(seen, deterministic=True)[0], expected)
+    model.policy.save(tmp_path / "policy.pth")
+    policy = type(model.policy).load(tmp_path / "policy.pth")
+    np.testing.assert_array_equal(policy.predict(seen, deterministic=True)[0], expected)
+    loaded.set_env(QuarterCarVecEnv(32, environment=PLANTS["bounded"], features=["products"]))
+    loaded.learn(64, reset_num_timesteps=False)
+    assert loaded.num_timesteps > model.num_timesteps
+
+
+def test_episodes_that_end_within_what_is_driven_are_not_differentiated_through():
+    envs = QuarterCarVecEnv(8, max_episode_steps=10, environment=PLANTS["bounded"], features=["products"])
+    model = APG("MlpPolicy", envs, n_steps=16, horizon=8, seed=1)
+    model.learn(3 * 128)
+    ended = model.rollout_buffer._ended
+    assert ended.any()
+    for longest, expected in ((5, 5), (8, 8), (11, 8)):  # there are no longer ones here
+        starts, length = model.rollout_buffer.windows(longest)
+        assert length == expected
+        assert len(starts) > 0
+        for start in starts:
+            assert not ended[start : start + length].any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"horizon": 17}, "horizon must be at most n_steps, 16, got 17"),
+        ({"gradient_steps": 0}, "gradient_steps must be at least 1"),
+        ({"noise": -1.0}, "noise must not be negative"),
+        ({"frame_stack": 2}, "frame_stack must be 1 for a gradient through the plant, got 2"),
+        ({"damping_levels": 3}, "hyperparameters of apg: The algorithm only supports"),
+        (
+            {"wrappers": ["gymnasium.wrappers.vector:RecordEpisodeStatistics"]},
+            "wrappers must be none for a gradient through the plant",
+        ),
+    ],
+)
+def test_what_cannot_be_differentiated_is_refused(changes, message):
+    with pytest.raises(ParameterError, match=message):
+        make_model("apg", parameters(**changes), PLANTS["bounded"], 0, None)
+
+
+def test_separate_environments_are_refused():
+    single = [lambda: learning(agents_env(), features=["products"])]
+    with pytest.raises(ParameterError, match="env must be a QuarterCarVecEnv for a gradient through the plant"):
+        APG("MlpPolicy", DummyVecEnv(single))
+
+
+def agents_env():
+    import gymnasium
+
+    import roadgym
+
+    return gymnasium.make(roadgym.ENVIRONMENT_ID, **PLANTS["bounded"])

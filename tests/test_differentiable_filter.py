@@ -1,0 +1,115 @@
+"""Kalman filters that are driven again in torch: what they know, gradients, and what is learned on them in seconds."""
+
+import numpy as np
+import pytest
+import torch
+
+import agents
+from agents.evaluation import evaluate
+from agents.training import load_hyperparameters, make_model
+from agents.vec_env import QuarterCarVecEnv
+from roadgym import ParameterError
+
+RANGES = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.4)}
+SENSED = {"observation": ["travel", "acceleration"], "sensors": {"noise": 0.05}}
+TOLD = {"observation": ["travel", "acceleration", "speed", "bandwidth"], "sensors": {"noise": 0.05}}
+PLANTS = {
+    "bounded": {"road": "multiplicative", **RANGES, **TOLD},
+    "one point": {"road": "gaussian", "speed": 1.5, "bandwidth": 0.1, **SENSED},
+    "two masses": {"road": "iso_c", "car": "two_mass", "speed": 20.0, **SENSED},
+    "third order": {"road": "two_corner", "speed": 1.0, "observation": ["velocity"], "sensors": {"noise": 0.01}},
+}
+SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "gradient_steps": 4, "features": ["products"], "estimator": "kalman"}
+
+
+def driven(environment, steps, last=None, seed=3, number=32):
+    """What a batch drove, with dampings all over the range; ``last`` is the place of that of the last interval."""
+    envs = QuarterCarVecEnv(number, environment=environment, features=["signals"], estimator="kalman")
+    envs.seed(seed)
+    seen, rng = envs.reset(), np.random.default_rng(1)
+    roads = envs.driven_roads(steps)
+    for step in range(steps):
+        roads.note(step, *envs.road_and_car())
+        action = rng.uniform(-1, 1, (number, 1)).astype(np.float32)
+        if last is not None and step == steps - 1:
+            action[:] = last
+        before, (seen, _, ended, _) = seen, envs.step(action)
+        roads.answer(step, before, action, ended)
+    roads.note(steps, *envs.road_and_car())
+    roads.finish()
+    roads._look(roads._states[0, :, -3:-1])
+    return roads, seen
+
+
+def again(roads, start, last):
+    """What the filters of ``roads`` tell before step ``last``, driven again from ``start`` on by the same dampings."""
+    follow = roads._filter.begin(start, slice(None))
+    for step in range(start + 1, last + 1):
+        told = roads._sees(roads._car[step], torch.from_numpy(roads._places[step - 1]), step, slice(None), follow)
+    return told.numpy()
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_filters_that_are_driven_again_know_the_same(plant):
+    roads, _ = driven(PLANTS[plant], 40)
+    noise = PLANTS[plant]["sensors"]["noise"]
+    assert float(roads._filter._errors.std()) == pytest.approx(noise, rel=0.1)  # sensors err as much as they do
+    np.testing.assert_allclose(again(roads, 2, 39), roads._seen[39], rtol=1e-3, atol=1e-3)
+
+
+def test_what_another_damping_does_to_what_is_known_is_what_the_filter_does():
+    """The same roads and noise twice, with another damping in one interval: what the filter tells changes as the model says."""
+    (roads, first), (_, second) = (driven(PLANTS["bounded"], 40, last=place) for place in (-0.2, 0.2))
+    follow = [roads._filter.begin(39, slice(None)) for _ in range(2)]
+    told = []
+    for place, after in zip((-0.2, 0.2), follow, strict=True):
+        places = torch.full((32,), place)
+        car = roads._interval(roads._car[39], roads._ends[39], places)[0] + roads._left[39]
+        told.append(roads._sees(car, places, 40, slice(None), after).numpy())
+    changed = second - first
+    assert np.abs(told[1] - told[0] - changed).max() < 0.03 * np.abs(changed).max()
+
+
+@pytest.mark.parametrize("plant", ["bounded", "two masses"])
+def test_gradients_are_those_of_finite_differences(plant):
+    chosen = load_hyperparameters("apg") | SMALL | {"noise": 0.0, "policy_kwargs": {"net_arch": [8], "activation_fn": "Tanh"}}
+    model = make_model("apg", chosen, PLANTS[plant], 3, None)
+    model.learn(model.n_envs * model.n_steps)
+    network, roads = model.policy.network, model.rollout_buffer
+    weights = list(network.parameters())
+    direction = [torch.randn_like(weight) for weight in weights]
+    cost = roads.cost(network, 2, 8, 0.0)
+    slope = sum((a * b).sum() for a, b in zip(torch.autograd.grad(cost, weights), direction, strict=True))
+    moved = []
+    for sign in (1, -1):
+        with torch.no_grad():
+            for weight, along in zip(weights, direction, strict=True):
+                weight += sign * 0.015 * along
+            moved.append(float(roads.cost(network, 2, 8, 0.0)))
+            for weight, along in zip(weights, direction, strict=True):
+                weight -= sign * 0.015 * along
+    assert (moved[0] - moved[1]) / 0.03 == pytest.approx(float(slope), rel=0.03, abs=1e-3)
+
+
+def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
+    environment = {"road": "multiplicative", "speed": (1.0, 2.0), "bandwidth": (0.1, 0.3), **TOLD}
+    chosen = {"n_envs": 64, "n_steps": 32, "horizon": 16, "gradient_steps": 8, "n_timesteps": 40 * 2048}
+    agent = agents.train(
+        tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=load_hyperparameters("apg") | SMALL | chosen
+    )
+    found = evaluate({"agent": agent}, environment=environment, speeds=[1.5], bandwidths=[0.1], episodes=16)["agent"]
+    assert found.mean < 0.5  # the best constant damping costs .982, certainty equivalence .290
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensors": {"noise": 0.05, "delay": 0.2}},
+        {"sensors": {"noise": 0.05, "bias": 0.1}},
+        {"observe_operating_point": False, "observation": ["travel"]},
+        {"valve": {"rise_time": 0.1}},
+    ],
+)
+def test_what_is_more_than_a_plain_filter_is_refused(changes):
+    with pytest.raises(ParameterError, match="sensors and valve must be ideal but for noise, speed and bandwidth known, and"):
+        make_model("apg", load_hyperparameters("apg") | SMALL, PLANTS["bounded"] | changes, 0, None)
