@@ -50,11 +50,11 @@ def small():
     @functools.cache
     def relaxed(road="multiplicative", damping_range=RANGE, speed=RATIO):
         feedback = feedback_of(road, damping_range, speed)
-        return Relaxation(task_of(road, damping_range, speed), feedback, 1.0, 50, 3, 1, lambda done: None)
+        return Relaxation(task_of(road, damping_range, speed), feedback, 1.0, 30, 3, 1, lambda done: None)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(driving, "LANES_DRIVEN", 512)
-        patch.setattr(information_relaxation, "VALUE_GRID", np.array([8, 24, 36]))
+        patch.setattr(information_relaxation, "VALUE_GRID", np.array([6, 16, 36]))
         patch.setattr(information_relaxation, "ROWS", 36)
         patch.setattr(information_relaxation, "LEVELS", 9)
         patch.setattr(information_relaxation, "LEAST", 16)
@@ -151,12 +151,12 @@ def test_with_one_damping_it_is_the_closed_form(small, road):
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize(("road", "speed"), [("gaussian", RATIO), ("multiplicative", RATIO), ("multiplicative", 3.0)])
-def test_it_lies_just_below_the_best_feedback(small, road, speed):
-    found = small(road, speed=speed)
-    assert found.driven == pytest.approx(feedback_of(road, RANGE, speed).cost, rel=0.15)  # of a few D alone: it costs more
+@pytest.mark.parametrize("road", ["gaussian", "multiplicative"])
+def test_it_lies_just_below_the_best_feedback(small, road):
+    found = small(road)
+    assert found.driven == pytest.approx(feedback_of(road, RANGE, RATIO).cost, rel=0.05)
     assert found.cost < found.driven + 3 * found.standard_error
-    assert found.cost > 0.6 * found.driven
+    assert found.cost > 0.8 * found.driven
     assert np.all(found.gaps < 0.05 * found.driven)  # one that is told the road does better on each, but for a coarse grid
     assert found.charge >= 0
     assert found.standard_error < 0.1 * found.driven
@@ -165,15 +165,14 @@ def test_it_lies_just_below_the_best_feedback(small, road, speed):
 @pytest.mark.statistical
 def test_with_a_wrong_value_it_is_lower_and_still_a_bound(small, monkeypatch):
     right, tabulate = small(), information_relaxation.tabulate
-    for factor in (0.0, 1.5):
 
-        def wrong(*arguments, factor=factor):
-            value, *others = tabulate(*arguments)
-            return (factor * value).astype(np.float32), *others
+    def wrong(*arguments):
+        value, *others = tabulate(*arguments)
+        return np.zeros_like(value), *others
 
-        monkeypatch.setattr(information_relaxation, "tabulate", wrong)
-        found = small.__wrapped__()
-        assert found.cost < right.cost - 3 * found.standard_error
+    monkeypatch.setattr(information_relaxation, "tabulate", wrong)
+    found = small.__wrapped__()
+    assert found.cost < right.cost - 3 * found.standard_error
 
 
 @pytest.mark.statistical
