@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorObservationWrapper, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from .kalman import HYPOTHESES, Belief, KalmanFilter
@@ -67,8 +67,13 @@ class EpisodeWrapper(Layer):
 
 def _filter(env: Environment | Batch, space: Any, hypotheses: int) -> KalmanFilter:
     """The filter of what ``env`` observes, which is what its task does."""
+    layer: Any = env
     task = task_of(env)
-    if space != task.observation_space:
+    altered = space != task.observation_space
+    while layer is not env.unwrapped:
+        others = gymnasium.ObservationWrapper, VectorObservationWrapper, KalmanObservation, VectorKalmanObservation
+        altered, layer = altered or isinstance(layer, others), layer.env
+    if altered:
         raise ParameterError(f"env must show the observation of its task to a Kalman filter, got {shown(env)}")
     return KalmanFilter(task, hypotheses)
 

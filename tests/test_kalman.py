@@ -259,6 +259,13 @@ def test_what_no_filter_is_for_is_refused_in_one_line(environment, message):
     assert "\n" not in str(caught.value)
 
 
+def test_what_changes_the_observation_is_no_sensor():
+    env = QuarterCarEnv(road="gaussian", observation=["travel"])
+    for changed in (KalmanObservation(env), gymnasium.wrappers.TransformObservation(env, np.negative, env.observation_space)):
+        with pytest.raises(ParameterError, match="must show the observation of its task"):
+            KalmanObservation(changed)
+
+
 def test_only_what_the_task_observes_is_measured():
     with pytest.raises(ParameterError, match="must show the observation of its task"):
         KalmanObservation(gymnasium.wrappers.TimeAwareObservation(gymnasium.make("roadgym/QuarterCar-v0")))
