@@ -142,7 +142,7 @@ def theory_given(agent: Predictor) -> str | None:
     reward = {
         "advantage": "theory's advantage over the best constant damping, made from the full state whatever it observes",
         "cost": "the cost",
-        "gradient": "the cost, differentiated through the plant, with a constant damping's value for what comes after",
+        "gradient": "the cost, differentiated through the plant, with theory's value of what comes after",
     }.get(agent.description.get("training_reward", ""))
     if reward is None:  # of an agent that was trained before this was noted
         return None

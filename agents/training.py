@@ -164,7 +164,7 @@ def make_model(
     known = [name for name in inspect.signature(kind).parameters if name[0] != "_"]
     for name in parameters:
         if name not in known:
-            raise ParameterError(f"{algorithm} has no hyperparameter {name!r}; known: {', '.join(known)}")
+            raise ParameterError(f"hyperparameters of {algorithm}: unknown {name!r}; known: {', '.join(known)}")
     try:
         model = kind(
             policy,

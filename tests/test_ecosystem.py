@@ -270,7 +270,8 @@ def read_as_the_zoo_does(file):
         chosen["action_noise"] = NormalActionNoise(np.zeros(1), chosen.pop("noise_std") * np.ones(1))
     normalise = chosen.pop("normalize", {})
     assert isinstance(normalise, dict)  # a string would be evaluated as Python
-    normalise["gamma"] = chosen["gamma"]
+    if "gamma" in chosen:
+        normalise["gamma"] = chosen["gamma"]
     return chosen, chosen.pop("n_envs", 1), normalise, lambda env: wrap(env, **options)
 
 
@@ -286,7 +287,8 @@ def test_hyperparameter_files_are_those_of_the_zoo(file):
     ours = make_model(algorithm, hyperparameters, ENVIRONMENT, 0, None)
     for progress in (1.0, 0.4):
         assert ours.lr_schedule(progress) == pytest.approx(model.lr_schedule(progress))
-    assert ours.gamma == model.gamma == ours.get_vec_normalize_env().gamma
+    if model.get_vec_normalize_env().norm_reward:
+        assert ours.gamma == model.gamma == ours.get_vec_normalize_env().gamma
     assert ours.n_envs == model.n_envs
     assert ours.policy.activation_fn is model.policy.activation_fn
     assert ours.policy.net_arch == model.policy.net_arch

@@ -34,7 +34,7 @@ def test_train_and_compare(tmp_path):
     size = ("--output", "agent", "--timesteps", "1", "--episodes", "16", "--duration", "2")
     output = run("train_and_compare.py", *size, folder=tmp_path)
     first, head, *rows = output.splitlines()
-    assert re.fullmatch(r"agent: ppo, \d+ steps", first)
+    assert re.fullmatch(r"agent: apg, \d+ steps", first)
     assert head.split() == ["speed", "bandwidth", "agent", "analytic_optimum", "skyhook", "agent", "saves"]
     numbers = [[float(word) for word in row.split() if word != "±"] for row in rows]
     assert [row[:2] for row in numbers] == [[v, b] for v in (0.7, 1.0, 1.5, 2.0, 3.0) for b in (0.1, 0.3)]
