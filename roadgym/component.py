@@ -35,6 +35,23 @@ def import_modules(modules: Iterable[str]) -> None:
             raise ParameterError(f"cannot import {module!r}: {' '.join(str(error).split())}") from error
 
 
+def make_part(kind: type[Component], what: str, value: Any) -> Component:
+    """A part that is of one class alone, from a mapping of its parameters, or as it is.
+
+    Raises:
+        ParameterError: something else, an unknown parameter, or a value out of range.
+    """
+    if isinstance(value, kind):
+        return value
+    if not isinstance(value, Mapping):
+        raise ParameterError(f"{what} must be a mapping of parameters or a {kind.__name__}, got {shown(value)}")
+    known = list(inspect.signature(kind).parameters)
+    for name in value:
+        if name not in known:
+            raise ParameterError(f"unknown parameter {shown(name)} of {what}; known: {', '.join(known)}")
+    return kind(**value)
+
+
 class Registry(dict[str, type[Component]], Generic[Component]):
     """Classes of one sort of component by name.
 

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .compiled import LANES
+from .component import make_part
 from .parameters import ParameterError, check_ratio, shown, within
 
 # A sensor in the integers of its table: where its signal is, as `roadgym.record` codes what is observed; in substeps the period
@@ -148,15 +149,7 @@ def make_sensors(sensors: Any) -> Sensors | None:
     Raises:
         ParameterError: something else, an unknown parameter, or a value out of range.
     """
-    if sensors is None or isinstance(sensors, Sensors):
-        return sensors
-    if not isinstance(sensors, Mapping):
-        raise ParameterError(f"sensors must be a mapping of parameters or a Sensors, got {shown(sensors)}")
-    known = [field.name for field in dataclasses.fields(Sensors)]
-    for name in sensors:
-        if name not in known:
-            raise ParameterError(f"unknown parameter {shown(name)} of sensors; known: {', '.join(known)}")
-    return Sensors(**sensors)
+    return None if sensors is None else make_part(Sensors, "sensors", sensors)
 
 
 def whole_substeps(time: float, interval: float, substeps: int) -> int:

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .parameters import ParameterError, check_ratio, shown, whole, within
+from .component import make_part
+from .parameters import check_ratio, whole, within
 from .record import interval_weights
 
 
@@ -105,17 +105,7 @@ def make_valve(valve: Any) -> Valve:
     Raises:
         ParameterError: something else, an unknown parameter, or a value out of range.
     """
-    if valve is None:
-        return Valve()
-    if isinstance(valve, Valve):
-        return valve
-    if not isinstance(valve, Mapping):
-        raise ParameterError(f"valve must be a mapping of parameters or a Valve, got {shown(valve)}")
-    known = [field.name for field in dataclasses.fields(Valve)]
-    for name in valve:
-        if name not in known:
-            raise ParameterError(f"unknown parameter {shown(name)} of valve; known: {', '.join(known)}")
-    return Valve(**valve)
+    return Valve() if valve is None else make_part(Valve, "valve", valve)
 
 
 def shares_of_ends(substeps: int) -> npt.NDArray[np.float64]:

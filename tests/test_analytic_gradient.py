@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from gradients import check_gradient
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import agents
@@ -85,20 +86,7 @@ def test_costs_of_intervals_are_those_of_the_environment(plant):
 @pytest.mark.parametrize("plant", PLANTS)
 def test_gradients_are_those_of_finite_differences(plant):
     model, roads = driven(plant, noise=0.0, policy_kwargs={"net_arch": [8], "activation_fn": "Tanh"})
-    network = model.policy.network
-    weights = list(network.parameters())
-    direction = [torch.randn_like(weight) for weight in weights]
-    cost = roads.cost(network, 2, 8, 0.0)
-    slope = sum((a * b).sum() for a, b in zip(torch.autograd.grad(cost, weights), direction, strict=True))
-    moved = []
-    for sign in (1, -1):
-        with torch.no_grad():
-            for weight, along in zip(weights, direction, strict=True):
-                weight += sign * 0.015 * along
-            moved.append(float(roads.cost(network, 2, 8, 0.0)))
-            for weight, along in zip(weights, direction, strict=True):
-                weight -= sign * 0.015 * along
-    assert (moved[0] - moved[1]) / 0.03 == pytest.approx(float(slope), rel=0.03, abs=1e-3)
+    check_gradient(roads, model.policy.network)
 
 
 def test_what_another_damping_does_to_the_car_is_what_the_environment_does():
