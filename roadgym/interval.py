@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,26 +17,28 @@ class Interval:
 
     Attributes:
         observations: shape (num_envs, signals), float32.
+        rewards: in the precision of the plant, shape (num_envs,).
         truncated: whose episode has ended, shape (num_envs,).
         final_observations: the last observations of these episodes, with the autoreset "same_step", where the others are those
             of the next episodes already; meaningless where none has ended.
     """
 
-    __slots__ = ("_results", "final_observations", "observations", "truncated")
+    __slots__ = ("_results", "final_observations", "observations", "rewards", "truncated")
 
     def __init__(
         self,
         observations: npt.NDArray[np.float32],
         results: Floats,
+        rewards: npt.NDArray[Any],
         truncated: npt.NDArray[np.bool_],
         final_observations: npt.NDArray[np.float32],
     ) -> None:
-        self.observations, self._results = observations, results
+        self.observations, self._results, self.rewards = observations, results, rewards
         self.truncated, self.final_observations = truncated, final_observations
 
     @property
     def reward(self) -> Floats:
-        """Shape (num_envs,)."""
+        """In double precision, shape (num_envs,)."""
         row: Floats = self._results[REWARD]
         return row
 

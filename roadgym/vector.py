@@ -236,5 +236,4 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None, object), truncated.copy()
             for i in np.flatnonzero(truncated):
                 info["final_obs"][i] = interval.final_observations[i]
-        rewards = interval.reward.astype(self.plant.dtype)
-        return interval.observations, rewards, np.zeros(self.num_envs, np.bool_), truncated, info
+        return interval.observations, interval.rewards, np.zeros(self.num_envs, np.bool_), truncated, info
