@@ -31,11 +31,15 @@ from __future__ import annotations
 import ctypes
 import functools
 import inspect
+import pickle
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from .cache import Kept
+from .linking import link
 
 LANES = 64
 
@@ -58,7 +62,7 @@ DAMPING = 1 * LANES  # D in force
 WORK = 2 * LANES  # first of the rows that belong to the car: the mean squares that it adds up itself, then ``Car.working_rows``
 
 # what lane functions point to by the name of the parameter; all others are numbers in the precision that is asked for
-KINDS: dict[str, npt.DTypeLike] = {"words": np.uint32, "order": np.int64, "seen": np.float32}
+KINDS: dict[str, npt.DTypeLike] = {"words": np.uint32, "order": np.int64, "seeds": np.uint64, "seen": np.float32}
 
 
 class CompilationError(Exception):
@@ -91,6 +95,7 @@ class Deferred:
         return compiler.type_of(self.made)
 
     def __call__(self, *arguments: Any) -> Any:
+        """Call it, compiled."""
         return self.made(*arguments)
 
     def __getattr__(self, name: str) -> Any:
@@ -113,6 +118,7 @@ def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 compiled = _kept(nogil=True)
 inlined = _kept(inline="always")  # where a call would stop vectorisation
+
 
 def counted(function: Callable[..., int]) -> Any:
     """A function that compiled code calls compiled, and Python as it is: it counts rows for both."""
@@ -144,7 +150,8 @@ class LaneFunction:
     def __init__(self, function: Callable[..., None]) -> None:
         self.function = function
         self.__doc__ = function.__doc__
-        self._compiled: dict[np.dtype[Any], Any] = {}
+        self._kept = Kept(function)
+        self._addresses: dict[np.dtype[Any], int] = {}
         self._entries: dict[np.dtype[Any], Callable[..., None]] = {}
 
     def address(self, dtype: npt.DTypeLike) -> int:
@@ -154,11 +161,19 @@ class LaneFunction:
             CompilationError: it does not compile.
         """
         key = np.dtype(dtype)
-        if key not in self._compiled:
-            from . import compiler
+        if key not in self._addresses:
+            content = self._kept.read(key.str)
+            if content is None:
+                from . import compiler
 
-            self._compiled[key] = compiler.compiled_lane_function(self.function, key)
-        return int(self._compiled[key].address)
+                self._kept.tell()
+                *code, keep = compiler.lane_code(self.function, key)
+                if keep:
+                    self._kept.write(key.str, pickle.dumps(code))
+            else:
+                code = pickle.loads(content)
+            self._addresses[key] = link(*code)
+        return self._addresses[key]
 
     def entry(self, dtype: npt.DTypeLike) -> Callable[..., None]:
         """The function for Python, which gives it addresses, and other threads their turn meanwhile."""

@@ -3,22 +3,50 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import from_dtype, njit, types
+from numba.core import serialize
+from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
+from numba.core.compiler import CompileResult
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic, overload
 
-from .cache import CodeCache
+from .cache import Kept
 from .compiled import KINDS, CompilationError, like
 
 # "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+
+
+class CodeCache(NullCache):
+    """Keeps the compiled code of one function; numba asks it in place of the cache that ``cache=True`` would make."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._kept = Kept(function)
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder of this function's code."""
+        return None if self._kept.folder is None else str(self._kept.folder)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The code for a signature, or None."""
+        target_context.refresh()
+        content = self._kept.read(repr(sig))
+        return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for a signature where that is possible."""
+        if not data.library.has_dynamic_globals and all(lifted.can_cache for lifted in data.lifted):
+            self._kept.write(repr(sig), serialize.dumps(data._reduce()))
 
 
 def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
@@ -112,8 +140,14 @@ def address_of(typing_context: Any, block: Any) -> Any:
     return types.uintp(block), generate
 
 
-def compiled_lane_function(function: Callable[..., None], dtype: np.dtype[Any]) -> Any:
-    """A callback of a lane function for one precision.
+def make_ready() -> None:
+    """Let compiled code find what numba has for it."""
+    cpu_target.target_context.refresh()
+
+
+@global_compiler_lock
+def lane_code(function: Callable[..., None], dtype: np.dtype[Any]) -> tuple[str, list[str], bytes, bool]:
+    """A lane function in machine code for one precision: its name, what it calls by name, an object file, and is it to be kept.
 
     Raises:
         CompilationError: numba does not take it.
@@ -121,10 +155,24 @@ def compiled_lane_function(function: Callable[..., None], dtype: np.dtype[Any]) 
     number = types.CPointer(from_dtype(dtype))
     fixed = {name: types.CPointer(from_dtype(np.dtype(kind))) for name, kind in KINDS.items()}
     arguments = tuple(fixed.get(name, number) for name in inspect.signature(function).parameters)
-    callback: Any = CFunc(function, (arguments, types.void), locals={}, options=dict(OPTIONS))
-    callback._cache = CodeCache(function)
     try:
-        callback.compile()
+        callback: Any = CFunc(function, (arguments, types.void), locals={}, options=dict(OPTIONS))
+        made = callback._compile_uncached()
     except NumbaError as error:
         raise CompilationError(str(error)) from error
-    return callback
+    # numba's own wrapper would tell Python of errors, and so need Python, and numba; a lane function has none
+    context, name = made.target_context, f"lane.{made.fndesc.llvm_func_name}"
+    module = context.create_module("lane")
+    values = [context.get_value_type(kind) for kind in arguments]
+    callee = ir.Function(module, context.call_conv.get_function_type(types.void, arguments), made.fndesc.llvm_func_name)
+    builder = ir.IRBuilder(ir.Function(module, ir.FunctionType(ir.VoidType(), values), name).append_basic_block())
+    context.call_conv.call_function(builder, callee, types.void, arguments, builder.function.args)
+    builder.ret_void()
+    library = context.codegen().create_library(name)
+    library.add_linking_library(made.library)
+    library.add_ir_module(module)
+    library.finalize()
+    final = library._final_module
+    names = [each.name for each in (*final.functions, *final.global_variables) if each.is_declaration]
+    needed = [each for each in names if not each.startswith("llvm.")]
+    return name, needed, context.codegen()._tm.emit_object(final), not made.library.has_dynamic_globals

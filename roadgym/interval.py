@@ -65,6 +65,11 @@ class Interval:
         row: Floats = self._results[RESULT_BANDWIDTH]
         return row
 
+    def rows(self) -> list[Floats]:
+        """Mean squares one by one, damping, speed and bandwidth, shape (num_envs,) each."""
+        rows: list[Floats] = list(self._results)
+        return [*rows[SQUARES:], *rows[RESULT_DAMPING:SQUARES]]
+
     def only(self) -> list[float]:
         """Reward, damping, speed, bandwidth and mean squares of the first environment, in this order, as numbers."""
         return self._results[:, 0].tolist()  # type: ignore[no-any-return]
@@ -79,6 +84,11 @@ class CommandedInterval(Interval):
     def mean_squares(self) -> Floats:
         """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
         return self._results[SQUARES:-1]
+
+    def rows(self) -> list[Floats]:
+        """Mean squares one by one, damping in force and commanded, speed and bandwidth, shape (num_envs,) each."""
+        rows: list[Floats] = list(self._results)
+        return [*rows[SQUARES:-1], rows[RESULT_DAMPING], rows[-1], *rows[RESULT_SPEED:SQUARES]]
 
     @property
     def command(self) -> Floats:

@@ -132,9 +132,7 @@ def prepare_work(plant: Any, work: Any) -> None:
 
 
 @compiled
-def drive_interval(
-    plant: Any, lanes: Any, work: Any, counters: Any, words: Any, spare: Any, purpose: int, path: Any
-) -> None:
+def drive_interval(plant: Any, lanes: Any, work: Any, counters: Any, words: Any, spare: Any, purpose: int, path: Any) -> None:
     """Drive one block through one control interval; leaves the mean squares in ``work``.
 
     ``path`` is the address of rows for the angle and the level of each substep, or 0.
@@ -191,7 +189,7 @@ def start_lane(plant: Any, lanes: Any, i: int, counters: Any, words: Any, forced
 
     Filters of its signals start at zero.
 
-    ``forced`` is the address of two rows, speed and bandwidth of each environment, or 0; where it is not NaN it replaces the draw.
+    ``forced`` is the address of two rows, speed and bandwidth of each environment, or 0; what is not NaN replaces the draw.
     """
     for chunk in range(START_WORDS // 4):
         w0, w1, w2, w3 = philox(
@@ -289,7 +287,10 @@ def step_blocks(order: Any, state: Any) -> None:
     """Advance blocks by one control interval; see the module's docstring, and `roadgym.record` for the order."""
     plant = record_at(np.uint64(order[PLANT_ADDRESS]), PLANT)
     work = pointer(np.uint64(order[WORK_ADDRESS]), state)
-    words, spare = pointer(np.uint64(order[WORDS_ADDRESS]), np.uint32(0)), pointer(np.uint64(order[SPARE_ADDRESS]), np.uint32(0))
+    words, spare = (
+        pointer(np.uint64(order[WORDS_ADDRESS]), np.uint32(0)),
+        pointer(np.uint64(order[SPARE_ADDRESS]), np.uint32(0)),
+    )
     all_counters, actions = pointer(plant.counters, np.uint32(0)), pointer(plant.actions, np.float32(0))
     all_over, due, unsound, nothing_forced = pointer(plant.truncated, np.uint8(0)), row_of(spare, DUE), -1, np.uint64(0)
     low, high = like(state, plant.damping_low), like(state, plant.damping_high)
@@ -356,7 +357,10 @@ def reset_blocks(order: Any, state: Any) -> None:
     """Start the masked environments of blocks in their next episode, and observe all; see `roadgym.record` for the order."""
     plant = record_at(np.uint64(order[PLANT_ADDRESS]), PLANT)
     work = pointer(np.uint64(order[WORK_ADDRESS]), state)
-    words, spare = pointer(np.uint64(order[WORDS_ADDRESS]), np.uint32(0)), pointer(np.uint64(order[SPARE_ADDRESS]), np.uint32(0))
+    words, spare = (
+        pointer(np.uint64(order[WORDS_ADDRESS]), np.uint32(0)),
+        pointer(np.uint64(order[SPARE_ADDRESS]), np.uint32(0)),
+    )
     all_counters, size, unsound = pointer(plant.counters, np.uint32(0)), plant.block_size, -1
     due = row_of(spare, DUE)
     prepare_work(plant, work)
@@ -387,7 +391,10 @@ def drive_roads(order: Any, state: Any) -> None:
     They meet the words of control intervals of one substep.
     """
     plant = record_at(np.uint64(order[PLANT_ADDRESS]), PLANT)
-    words, spare = pointer(np.uint64(order[WORDS_ADDRESS]), np.uint32(0)), pointer(np.uint64(order[SPARE_ADDRESS]), np.uint32(0))
+    words, spare = (
+        pointer(np.uint64(order[WORDS_ADDRESS]), np.uint32(0)),
+        pointer(np.uint64(order[SPARE_ADDRESS]), np.uint32(0)),
+    )
     levels, slopes = pointer(np.uint64(order[LEVELS]), 0.0), pointer(np.uint64(order[SLOPES]), 0.0)
     all_counters, size, unsound = pointer(plant.counters, np.uint32(0)), plant.block_size, -1
     for b in range(order[BEGIN], order[END]):

@@ -5,22 +5,23 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from . import compiled, kernel
+from .addresses import lane_address, padded_table
 from .cars import Car
 from .cars.linear import STATES
-from .compiled import COEFFICIENT, LANES, CompilationError, LaneFunction
+from .compiled import COEFFICIENT, LANES, LaneFunction
 from .filters import filter_table
 from .interval import CommandedInterval as CommandedInterval
 from .interval import Floats as Floats
 from .interval import Interval as Interval
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
+from .pool import pool
 from .record import (
     BEGIN,
     COUNTERS,
@@ -72,55 +73,6 @@ OBSERVATIONS, FINAL_OBSERVATIONS, RESULTS, REWARDS, TRUNCATED, MASK, FORCED = (
     PLANT.names.index(name)  # type: ignore[union-attr]
     for name in ("observations", "final_observations", "results", "rewards", "truncated", "mask", "forced")
 )
-
-MOST_THREADS = 1024  # of the pool; it starts a thread only where none is idle, so as many as are at work together
-
-_pools: dict[int, ThreadPoolExecutor] = {}
-
-
-def _pool() -> ThreadPoolExecutor:
-    """The thread pool of this process, one for all plants; a forked worker does not find its parent's."""
-    process = os.getpid()
-    if process not in _pools:
-        _pools[process] = ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="roadgym")
-    return _pools[process]
-
-
-PADDING = 4096  # numbers after a table, all NaN: what reads beyond its end shows, and reads nobody else's memory
-
-
-def padded_table(name: str, table: Any, dtype: np.dtype[Any], *, finite: bool = True) -> npt.NDArray[Any]:
-    """The constants of a component for compiled code, with `PADDING` after them.
-
-    Args:
-        name: of the table, for messages.
-        table: its numbers.
-        dtype: of compiled code.
-        finite: must they be; a bound of minus infinity is a constant too.
-
-    Raises:
-        ParameterError: no numbers in one row.
-    """
-    row = number_array(name, table) if finite else np.asarray(table, np.float64)
-    if row.ndim != 1 or row.size == 0:
-        raise ParameterError(f"{name} must be one row of numbers, got the shape {row.shape}")
-    with np.errstate(over="ignore"):
-        constants = row.astype(dtype)
-    if np.any(np.isinf(constants) & np.isfinite(row)):
-        raise ParameterError(f"{name} must have numbers that {dtype} holds, up to {np.finfo(dtype).max:.2g}")
-    return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
-
-
-def lane_address(component: Road | SpeedNoise | Car, function: LaneFunction | None, dtype: np.dtype[Any]) -> int:
-    """Address of a component's function for the kernel, 0 where it has none.
-
-    Raises:
-        ParameterError: it does not compile.
-    """
-    try:
-        return 0 if function is None else function.address(dtype)
-    except CompilationError as error:
-        raise ParameterError(f"a lane function of the {component.kind} component does not compile: {error}") from error
 
 
 class Plant:
@@ -332,7 +284,7 @@ class Plant:
         if self.threads == 1:
             function(*self._places[0])
         else:
-            futures = [_pool().submit(function, *places) for places in self._places[1:]]
+            futures = [pool().submit(function, *places) for places in self._places[1:]]
             function(*self._places[0])
             for future in futures:
                 future.result()

@@ -27,10 +27,10 @@ PLANT = np.dtype(
         ("filter_table", np.uint64),  # address of 64-bit numbers, `roadgym.filters.filter_table`
         # addresses of 64-bit integers and numbers, `roadgym.sensors.SensorTables`
         *((name, np.uint64) for name in ("sensor_integers", "sensor_numbers")),
-        # where the counters of all blocks are, and what is taken and told at this call: actions, single precision, and of a reset
-        # which environments begin anew, truth values, and the speeds and bandwidths that are forced on them, 64-bit numbers, or 0;
-        # observations, single precision; the rows of the results, 64-bit numbers; rewards, in the precision of the state; and
-        # whose episode is over, truth values
+        # addresses of the counters of all blocks, and of what is taken and told at this call: actions, single precision; of a
+        # reset which environments begin anew, truth values, and the speeds and bandwidths that are forced on them, 64-bit
+        # numbers, or 0; observations, single precision; the rows of the results, 64-bit numbers; rewards, in the precision of
+        # the state; and whose episode is over, truth values
         *((name, np.uint64) for name in ("counters", "actions", "mask", "forced", "observations", "final_observations")),
         *((name, np.uint64) for name in ("results", "rewards", "truncated")),
         ("arrange", np.uint64),  # lane function that writes the observations of a whole block, `roadgym.sensing.arranged`
@@ -81,9 +81,9 @@ def interval_weights(substeps: int) -> npt.NDArray[np.float64]:
 KEY, EPISODE, STEP, PENDING = 0 * LANES, 2 * LANES, 3 * LANES, 4 * LANES
 COUNTERS = 5 * LANES
 
-# what a call of the kernel is told and tells, 64-bit integers: the blocks to serve, from the first to before the last; the first
-# environment in which a number is not finite, or -1; addresses of the plant and of memory of its own: numbers, words, and others
-# of 32 bits; and of `roadgym.kernel.drive_roads` the number of points, and where their levels and slopes go
+# what a call of the kernel is told and tells, 64-bit integers: the first of the blocks to serve, and the end of them; the first
+# environment in which a number is not finite, or -1; addresses of the plant and of memory for this call alone: numbers, words,
+# and others of 32 bits; and for `roadgym.kernel.drive_roads` the number of points, and where their levels and slopes go
 BEGIN, END, UNSOUND, PLANT_ADDRESS, WORK_ADDRESS, WORDS_ADDRESS, SPARE_ADDRESS, POINTS, LEVELS, SLOPES = range(10)
 ORDER = 10
 

@@ -39,9 +39,9 @@ def sample_road(
     """
     # a road needs none of these, they need roads
     from .. import kernel
+    from ..addresses import lane_address, padded_table
     from ..compiled import COEFFICIENT, LANES
     from ..noise import fill_words, keys_from_seeds
-    from ..plant import lane_address, padded_table
     from ..record import (
         COUNTERS,
         END,
