@@ -53,10 +53,19 @@ def ask(folder, function, *arguments):
     return key
 
 
-def test_jobs_are_done_once_and_like_everywhere(tmp_path, capfd):
-    """Processes give what this one gives, are on one thread each, and a job that fails or kills its worker stops no other."""
-    folder = str(tmp_path)
-    with jobs.executor(workers=2, store=tmp_path / "jobs") as executor:
+PLACES = {  # what an executor is told, and the package that it needs
+    "processes": ({}, "sys"),
+    "ray": ({"num_cpus": 3, "include_dashboard": False, "log_to_driver": False}, "ray"),
+    "slurm": ({"cluster": "local"}, "submitit"),
+}
+
+
+@pytest.mark.parametrize("on", PLACES)
+def test_jobs_are_done_once_and_like_everywhere(on, tmp_path, capfd):
+    """Workers give what this process gives, on one thread each; a job that fails or kills one of them stops no other."""
+    folder, (options, package) = str(tmp_path), PLACES[on]
+    pytest.importorskip(package)
+    with jobs.executor(on, workers=2, store=tmp_path / "jobs", options=options) as executor:
         sums = list(executor.map(worked.add, [0.1, 0.2, 1e300], [0.2, 1 / 3, 1e300]))
         failed, killed = executor.submit(worked.fall, "oh\nno"), executor.submit(worked.kill_the_worker, folder)
         threads, process = executor.submit(worked.surroundings).result()
@@ -69,8 +78,7 @@ def test_jobs_are_done_once_and_like_everywhere(tmp_path, capfd):
     assert str(error) == "fall failed: ValueError: oh no"
     assert "raise ValueError(text)\nValueError: oh" in error.traceback
     assert capfd.readouterr().err.splitlines()[-1] == "jobs: 6 of 6, 1 failed"
-    left = {path.suffix for path in (tmp_path / "jobs").iterdir()}
-    assert left == {".result", ".failed"}
+    assert {path.suffix for path in (tmp_path / "jobs").iterdir() if path.is_file()} == {".result", ".failed"}
     with here(tmp_path / "jobs") as executor:
         assert executor.submit(worked.surroundings).result() == (threads, process)  # kept
         assert executor.submit(worked.kill_the_worker, folder).result() == "survived"

@@ -92,7 +92,7 @@ class JobExecutor(Executor):
         self._lock = threading.RLock()
         self._waiting: dict[str, tuple[str, list[Future[Any]]]] = {}  # by the key: what the job is, and who waits for it
         self._done = self._failed = self._total = 0
-        self._closing = False
+        self._closing = self._cancelled = False
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
         """Ask for a job, see `executor`; returns the future of what the function returns.
@@ -114,7 +114,7 @@ class JobExecutor(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more jobs, end when none is left, or at once; with ``wait``, return only then."""
         with self._lock:
-            self._closing = True
+            self._closing, self._cancelled = True, self._cancelled or cancel_futures
             for key in list(self._waiting) if cancel_futures else ():
                 for future in self._waiting[key][1]:
                     future.cancel()
@@ -156,11 +156,6 @@ class JobExecutor(Executor):
                     future.set_exception(error)
         self._report(self._done, self._failed, self._total)
 
-    def _end(self) -> None:
-        """Leave the folder."""
-        self._driver.end()
-        self._stack.close()
-
 
 class _Here(JobExecutor):
     """Does jobs at once, in this process."""
@@ -182,7 +177,8 @@ class _Here(JobExecutor):
         if not self._closing:
             super().shutdown(wait, cancel_futures=True)
             self._worker.presence.end()
-            self._end()
+            self._driver.end()
+            self._stack.close()
 
 
 class _Elsewhere(JobExecutor):
@@ -226,12 +222,21 @@ class _Elsewhere(JobExecutor):
                 for key in list(self._waiting):
                     self._hand_out(key, None, JobError(f"nobody can look after the jobs any more: {error}"))
         finally:
-            for worker in self._workers.values():
-                worker.stop()
-            for worker in self._workers.values():
-                worker.join()
-            self._launcher.close()
-            self._end()
+            self._leave()
+
+    def _leave(self) -> None:
+        """Have all workers end: those without work of themselves, those at the work of others when they are told."""
+        self._driver.end()
+        end = time.monotonic() + 2 * POLL[1]
+        while not self._cancelled and time.monotonic() < end and any(worker.alive() for worker in self._workers.values()):
+            time.sleep(POLL[0])
+        for worker in self._workers.values():
+            worker.stop()
+        for name, worker in self._workers.items():
+            worker.join()
+            declare_lost(self.folder, name)
+        self._launcher.close()
+        self._stack.close()
 
     def _tend(self) -> None:
         """Have as many workers as there is work for."""
