@@ -127,16 +127,24 @@ def test_one_accelerometer(tmp_path):
     assert 60 < shares[1] < shares[0] < 105
 
 
-# the smallest share of the gap, in per cent; one that has learned nothing is at -5
-@pytest.mark.parametrize(
-    ("package", "size", "least"),
-    [("skrl", ("--timesteps", "32768"), 10), ("torchrl", ("--timesteps", "32768"), 10), ("minari", ("--drives", "10"), 60)],
-)
-def test_other_libraries_learn(package, size, least, tmp_path):
+# sizes that take seconds, and the smallest share of the gap then, in per cent; one that has learned nothing is at -5
+LEARNERS = {
+    "skrl": ("with_skrl.py", "--timesteps", "32768", 10),
+    "stable_baselines3": ("with_stable_baselines3.py", "--timesteps", "4096", -10),
+    "sbx": ("with_stable_baselines3.py", "--package=sbx", "--timesteps", "65536", 10),
+    "torchrl": ("with_torchrl.py", "--timesteps", "32768", 10),
+    "ray": ("with_rllib.py", "--timesteps", "65536", 10),
+    "minari": ("with_minari.py", "--drives", "10", 60),
+}
+
+
+@pytest.mark.parametrize("package", LEARNERS)
+def test_other_libraries_learn(package, tmp_path):
     if not importlib.util.find_spec(package):
         pytest.skip(f"{package} is not installed; it is no part of the extra `test`")
+    script, *size, least = LEARNERS[package]
     # each of them warns of itself with one release or another of what it stands on
-    output = run(f"learners/with_{package}.py", *size, "--episodes", "16", folder=tmp_path, warnings="default")
+    output = run(f"learners/{script}", *size, "--episodes", "16", folder=tmp_path, warnings="default")
     share, error = (float(text) for text in re.search(r"closes (\S+) ± (\S+) % of the gap", output).groups())
     assert 0 < error < 2
     assert least < share < 100
