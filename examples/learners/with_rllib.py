@@ -30,7 +30,7 @@ ROLLOUT = 4096  # steps of all environments together
 
 def make(options: dict[str, Any]) -> gym.Env[Any, Any]:
     """The environment, with actions in [-1, 1]."""
-    return gym.wrappers.RescaleAction(gym.make(roadgym.ENVIRONMENT_ID, **options), np.float32(-1), np.float32(1))
+    return gym.wrappers.RescaleAction(gym.make(roadgym.ENVIRONMENT_ID, **options), -1, 1)
 
 
 def train(seed: int, timesteps: int, num_envs: int) -> RLModule:

@@ -70,7 +70,7 @@ def train(seed: int, timesteps: int, num_envs: int, folder: str) -> Policy:
     """Train a policy for ``timesteps`` control intervals over all environments."""
     set_seed(seed)
     batch = gym.make_vec(roadgym.ENVIRONMENT_ID, num_envs=num_envs, max_episode_steps=None, **ENVIRONMENT)
-    env = wrap_env(RescaleAction(batch, np.float32(-1), np.float32(1)))
+    env = wrap_env(RescaleAction(batch, -1, 1))
     spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
     models = {"policy": Policy(**spaces), "value": Value(**spaces)}
     configuration = PPO_CFG(

@@ -30,7 +30,7 @@ ROLLOUT = 4096  # steps of all environments together
 
 def rescaled(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """Takes actions in [-1, 1], as Gaussian policies give them."""
-    return gym.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
+    return gym.wrappers.RescaleAction(env, -1, 1)
 
 
 def train(package: str, seed: int, timesteps: int, num_envs: int) -> Any:
