@@ -141,7 +141,7 @@ LEARNERS = {
 @pytest.mark.parametrize("package", LEARNERS)
 def test_other_libraries_learn(package, tmp_path):
     if not importlib.util.find_spec(package):
-        pytest.skip(f"{package} is not installed; it is no part of the extra `test`")
+        pytest.skip(f"{package} is not installed")
     script, *size, least = LEARNERS[package]
     # each of them warns of itself with one release or another of what it stands on
     output = run(f"learners/{script}", *size, "--episodes", "16", folder=tmp_path, warnings="default")
