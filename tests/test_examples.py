@@ -133,22 +133,23 @@ LEARNERS = {
     "stable_baselines3": ("with_stable_baselines3.py", "--timesteps", "4096", -10),
     "sbx": ("with_stable_baselines3.py", "--package=sbx", "--timesteps", "65536", 10),
     "torchrl": ("with_torchrl.py", "--timesteps", "32768", 10),
-    "ray": ("with_rllib.py", "--timesteps", "65536", 10),
-    "minari": ("with_minari.py", "--drives", "10", 60),
+    "ray+ormsgpack": ("with_rllib.py", "--timesteps", "65536", 10),
+    "minari+jax+h5py": ("with_minari.py", "--drives", "10", 60),
 }
 
 
-@pytest.mark.parametrize("package", LEARNERS)
-def test_other_libraries_learn(package, tmp_path):
-    if not importlib.util.find_spec(package):
-        pytest.skip(f"{package} is not installed")
-    script, *size, least = LEARNERS[package]
+@pytest.mark.parametrize("packages", LEARNERS)  # what a library needs of its own extras beside itself
+def test_other_libraries_learn(packages, tmp_path):
+    for package in packages.split("+"):
+        if not importlib.util.find_spec(package):
+            pytest.skip(f"{package} is not installed")
+    script, *size, least = LEARNERS[packages]
     # each of them warns of itself with one release or another of what it stands on
     output = run(f"learners/{script}", *size, "--episodes", "16", folder=tmp_path, warnings="default")
     share, error = (float(text) for text in re.search(r"closes (\S+) ± (\S+) % of the gap", output).groups())
     assert 0 < error < 2
     assert least < share < 100
-    assert ("the environment is recovered: True" in output) == (package == "minari")
+    assert ("the environment is recovered: True" in output) == (script == "with_minari.py")
 
 
 def test_a_rule_made_for_one_road_sees_another_in_its_terms():
