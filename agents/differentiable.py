@@ -58,9 +58,11 @@ class DrivenRoads:
         self._terms, self._inputs, self._cars = interval.motion.shape
         both = [np.moveaxis(part, 1, 0).reshape(self._inputs, -1) for part in (interval.motion, interval.cost)]
         self._polynomials = single(np.concatenate(both, axis=1))
-        self._relative, self._signals = (single(rows) for rows in observed_rows(task))
+        full = task if estimator is None else estimator.filter.full
+        self._relative, self._signals = (single(rows) for rows in observed_rows(full))
+        self._measured = single(observed_rows(task)[1])
         self._filter = None if estimator is None else DrivenFilter(estimator, num_envs, steps)
-        self._names = task.signals if estimator is None else estimator.filter.full.signals
+        self._names = full.signals
         self._features = sight.features
         self._combined = None if sight.features is None else Seen(sight.features, len(self._names))
         self._states = np.empty((steps + 1, num_envs, self._cars + 5))
@@ -98,9 +100,8 @@ class DrivenRoads:
         moved, _ = self._interval(self._car[:-1].flatten(0, 1), self._ends.flatten(0, 1), place)
         self._left = self._car[1:] - moved.view_as(self._car[1:])
         if self._filter is not None:
-            found = self._observed(
-                self._car[1:].flatten(0, 1), place, self._path[1:].flatten(0, 1), self._road[1:].flatten(0, 1)
-            )
+            car, path, road = (part[1:].flatten(0, 1) for part in (self._car, self._path, self._road))
+            found = self._observed(car, place, path, road, self._measured)
             self._filter.finish(found[:, self._filter.columns].view(*self._places.shape, -1))
 
     def windows(self, longest: int) -> tuple[npt.NDArray[np.intp], int]:
@@ -112,7 +113,7 @@ class DrivenRoads:
         length = max(1, min(longest, int(reach.max())))
         return np.flatnonzero(reach >= length), length
 
-    def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float) -> Tensor:
+    def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float, state_known: bool = False) -> Tensor:
         """What a policy costs from ``start`` on: over ``length`` intervals, and for ever after by `values`.
 
         It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time.
@@ -123,12 +124,13 @@ class DrivenRoads:
             start: one of `windows`.
             length: number of intervals.
             noise: standard deviation of normal noise on the policy's answers.
+            state_known: where there is an estimator, does the policy see the state itself, from the second interval on?
         """
         ended = self._ended[start : start + length].any(axis=0)
         rows = torch.from_numpy(np.flatnonzero(~ended)) if ended.any() else slice(None)  # to pick all takes time
         self._look(self._states[start, :, self._cars + 2 : self._cars + 4])
         car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
-        follow = None if self._filter is None else self._filter.begin(start, rows)
+        follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
         place = total = torch.zeros(len(car))
         for step in range(start, start + length):
             answer = policy(seen if step == start else self._sees(car, place, step, rows, follow))[:, 0]
@@ -150,18 +152,23 @@ class DrivenRoads:
 
     def _sees(self, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None) -> Tensor:
         """What the policy sees before a step, after an interval at a damping in ``place``."""
-        told = self._observed(car, place, self._path[step, rows], self._road[step, rows])
-        if self._filter is not None and follow is not None:
-            told = follow(step, place, told[:, self._filter.columns])
+        moving = car, place, self._path[step, rows], self._road[step, rows]
+        if self._filter is None or follow is None:
+            told = self._observed(*moving, self._signals)
+        else:
+            told = follow(step, place, self._observed(*moving, self._measured)[:, self._filter.columns])
         observed = told + self._shares[rows]
         return observed if self._combined is None else self._combined(observed, self._forms[rows])
 
-    def _observed(self, car: Tensor, place: Tensor, path: Tensor, road: Tensor) -> Tensor:
-        """What ideal sensors tell after an interval at a damping in ``place``, shape (n, signals), the operating point 0."""
+    def _observed(self, car: Tensor, place: Tensor, path: Tensor, road: Tensor, signals: Tensor) -> Tensor:
+        """What ideal sensors tell after an interval at a damping in ``place``, shape (n, signals), the operating point 0.
+
+        The signals are as `observed_rows` has them.
+        """
         moving = torch.cat([car, path], 1)
         low, high = self._task.damping_range
         force = (2 * low + (high - low) * (place + 1)) * (moving @ self._relative)
-        return (torch.cat([moving, force[:, None], road[:, 1:]], 1) @ self._signals).clamp(-SATURATION, SATURATION)
+        return (torch.cat([moving, force[:, None], road[:, 1:]], 1) @ signals).clamp(-SATURATION, SATURATION)
 
     def _look(self, points: npt.NDArray[np.float64]) -> None:
         """Prepare for operating points (nu, delta) of all cars, shape (n, 2)."""
