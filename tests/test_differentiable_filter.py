@@ -66,7 +66,7 @@ def test_what_another_damping_does_to_what_is_known_is_what_the_filter_does():
     told = []
     for place, after in zip((-0.2, 0.2), follow, strict=True):
         places = torch.full((32,), place)
-        car = roads._interval(roads._car[39], roads._ends[39], places)[0] + roads._left[39]
+        car = roads._moved(roads._car[39], roads._forced[39], places)
         told.append(roads._sees(car, places, 40, slice(None), after).numpy())
     changed = second - first
     assert np.abs(told[1] - told[0] - changed).max() < 0.03 * np.abs(changed).max()
