@@ -167,7 +167,7 @@ class DrivenRoads:
         return observed if self._combined is None else self._combined(observed, self._forms[rows])
 
     def _observed(self, car: Tensor, place: Tensor, path: Tensor, road: Tensor) -> Tensor:
-        """What ideal sensors tell after an interval, a damping in ``place`` at its end; shape (n, signals), operating point 0."""
+        """What ideal sensors tell after an interval, at its end a damping in ``place``; (n, signals), operating point 0."""
         moving = torch.cat([car, path], 1)
         low, high = self._task.damping_range
         force = (2 * low + (high - low) * (place + 1)) * (moving @ self._relative)

@@ -3,9 +3,9 @@
     python examples/slow_valves.py
 
 takes a quarter of an hour on one core. Each line is a valve: a lag, a delay, or a number of levels, and nothing else. Rules
-with a parameter are tuned behind that valve, or with ``--unaware`` on the ideal one. With ``--agents`` there is one more that
-has learned with an ideal valve, and one that has learned behind that valve; they see the state and not what the valve does. They
-are kept in a folder, from which the script goes on.
+with a parameter are tuned behind that valve, or with ``--unaware`` on the ideal one. With ``--agents`` an agent drives too that
+has learned with an ideal valve, and one that has learned behind that valve; both see the state, and not what the valve does.
+They are kept in a folder, from which the script goes on.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--lags", type=float, nargs="*", default=list(LAGS), metavar="MS", help="time constants, ms")
     parser.add_argument("--delays", type=float, nargs="*", default=list(DELAYS), metavar="MS", help="ms")
     parser.add_argument("--levels", type=int, nargs="*", default=list(LEVELS), metavar="N", help="numbers of levels")
-    parser.add_argument("--rules", nargs="+", default=list(RULES), help="(%(default)s)")
+    parser.add_argument("--rules", nargs="*", default=list(RULES), help="(%(default)s)")
     parser.add_argument("--agents", action="store_true", help="train agents too")
     parser.add_argument("--output", default="runs/slow_valves", help="folder of the agents (%(default)s)")
     parser.add_argument("--timesteps", type=int, help="control intervals to train for (as of the algorithm)")
