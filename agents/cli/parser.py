@@ -26,6 +26,7 @@ from .options import (
     weights,
 )
 from .road import run_road
+from .suite import add_suite
 from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
@@ -304,6 +305,8 @@ def make_parser() -> argparse.ArgumentParser:
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table (all)")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
+    add_suite(commands, _command)
+
     cache = _command(
         commands,
         "cache",
@@ -333,9 +336,12 @@ def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> 
 def given_options(arguments: Sequence[str] | None) -> frozenset[str]:
     """Names of the options that are given, whatever their values; the arguments must be right."""
     parser = make_parser()
-    for command in _commands(parser).values():
+    commands = list(_commands(parser).values())
+    for command in commands:
         for action in command._actions:
             action.default = argparse.SUPPRESS
+            if isinstance(action, argparse._SubParsersAction):  # a command of commands
+                commands += action.choices.values()
     return frozenset(vars(parser.parse_args(arguments)))
 
 
