@@ -149,7 +149,7 @@ TASKS: Mapping[str, SuiteTask] = {
                 "control_interval": 50.0,
                 "substeps": 1600,
             },
-            speeds=SPEEDS,
+            speeds=(0.7, 1.0, 2.0, 3.0),  # at 1.5 the one damping is the best one
             bandwidths=BANDWIDTHS,
             duration=300.0,
             single_constant=True,
@@ -160,7 +160,7 @@ TASKS: Mapping[str, SuiteTask] = {
             title="Spare the passengers of a car with a wheel, on a road of class C",
             description="A body of 240 kg and a wheel of 36 kg in SI units, on class C of ISO 8608 at 54 to 90 km/h; every 5 "
             "ms the damper is set, and the mean square of the body's acceleration is paid. The wheel hops at 10 Hz, the body "
-            "swings at 1.3 Hz: stakes lie two hundred steps ahead.",
+            "swings at 1.3 Hz: 150 steps a swing.",
             parameters=TWO_MASSES,
             speeds=(15.0, 25.0),
             duration=10.0,

@@ -21,7 +21,7 @@ def add_suite(commands: Any, command: Command) -> None:
         "suite",
         None,
         "tasks with frozen parameters: train baselines, score entries, print the leaderboard",
-        "roadgym suite table --tasks Paper-v0",
+        "roadgym suite table",
     )
     parts = suite.add_subparsers(dest="part", required=True, metavar="PART")
 

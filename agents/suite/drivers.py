@@ -21,14 +21,7 @@ from .baselines import learner_of
 
 Origin = Mapping[str, Any]  # {"rule": name, "parameters": {...}, "estimator": name or None}, or {"agent": name}
 CONSTANT, BEST_CONSTANT = ("d_min", "d_max"), "analytic_optimum"
-CANDIDATES = (  # rules that are anywhere the best known; the others cost more everywhere
-    BEST_CONSTANT,
-    "skyhook",
-    "skyhook_continuous",
-    "clipped_lqr",
-    "mixed_lookahead",
-    "optimal_feedback",
-)
+CANDIDATES = (BEST_CONSTANT, "mixed_lookahead", "optimal_feedback")  # rules that are anywhere the best known
 ZERO = "zero"  # of the score, beside the names of others
 SHIPPED = ", shipped"  # after the title of the learner whose agent comes with the package
 

@@ -44,9 +44,9 @@ def page(task: SuiteTask, rows: Sequence[Mapping[str, Any]]) -> str:
         "Observation space": f"`Box({len(plant.signals)} numbers, float32)`; those of motion and road in standard deviations "
         "of the road, ± 20 of them at most.\n\n" + _observations(plant),
         "Reward": _reward(plant),
-        "Starting state": "The road in its stationary law, the car at rest on it. Speed"
+        "Starting state": "The road in its stationary law, the car at rest. Speed"
         + (" and bandwidth are" if plant.bandwidth[1] else " is")
-        + " drawn uniformly from the range below at each reset"
+        + " drawn uniformly from the ranges below at each reset"
         + (", and so is the car." if plant.vary else "."),
         "Episode end": f"Truncated after {task.max_episode_steps} steps, "
         f"{_number(task.max_episode_steps * plant.control_interval)} s; never terminated.",
@@ -87,11 +87,11 @@ def markdown_table(rows: Sequence[Sequence[str]]) -> str:
 
 def _pages_text(parts: Sequence[str]) -> str:
     """The parts as paragraphs, those in one line broken where it is long."""
-    single = (len(part) > WHOLE and "\n" not in part for part in parts)
+    paragraphs = [paragraph for part in parts for paragraph in part.split("\n\n")]
     return (
         "\n\n".join(
-            textwrap.fill(part, WHOLE, break_on_hyphens=False, break_long_words=False) if long else part
-            for part, long in zip(parts, single, strict=True)
+            paragraph if "\n" in paragraph else textwrap.fill(paragraph, WHOLE, break_on_hyphens=False, break_long_words=False)
+            for paragraph in paragraphs
         )
         + "\n"
     )
@@ -103,10 +103,10 @@ def _number(value: float) -> str:
 
 def _observations(plant: Task) -> str:
     real = plant.real_sensors
-    rows = [("place", "signal", "what is told")]
+    rows = [("place", "signal", "how it is seen")]
     for place, name in enumerate(plant.signals):
         told = {"speed": "$\\nu/(1 + \\nu)$ of the frequency ratio $\\nu$", "bandwidth": "$2\\delta/(1 + 2\\delta)$"}.get(
-            name, "in single precision"
+            name, "as it is"
         )
         if name in real:
             parts = {"noise": real[name].noise, "steps of": real[name].resolution}
@@ -119,7 +119,7 @@ def _reward(plant: Task) -> str:
     names = dict(plant.reward_by_name)
     terms = " + ".join((f"{_number(weight)} × " if weight != 1 else "") + f"`{name}`" for name, weight in names.items())
     over = "over the road's variance" if plant.car.cost_unit is None else "in SI units"
-    return f"Minus {terms}, mean squares over the control interval, {over}; the environment's `info` has each by its name."
+    return f"Minus the mean squares over the control interval, {terms}, {over}. The environment's `info` has each by its name."
 
 
 def _parameters(task: SuiteTask) -> str:
@@ -132,21 +132,21 @@ def _score(task: SuiteTask) -> str:
     table: list[tuple[str, ...]] = [("speed", "bandwidth", "constant D", "its cost", f"{known.best}", "lower bound", "room")]
     for each in known.points:
         bound = "n/a" if each.bound is None else f"{each.bound:.4g}"
-        room = f"{100 * (1 - each.best / each.constant):.1f} %"
+        room = f"{100 * each.room:.1f} %"
         best = with_error(each.best, each.best_error)
         cells = (
-            each.point.speed,
-            each.point.bandwidth or "-",
+            _number(each.point.speed),
+            _number(each.point.bandwidth) if each.point.bandwidth else "-",
             f"{each.damping:.4g}",
             f"{each.constant:.5g}",
             best,
             bound,
             room,
         )
-        table.append(tuple(map(str, cells)))
+        table.append(cells)
     how = f"The lower bound is by {known.bound}" if known.bound_score is not None else f"No lower bound is known, {known.bound}"
     return (
-        f"Zero is {zero}, 100 the best that was known when the references were made, {known.best}; driven over "
+        f"Zero is {zero}, 100 the best that was known when the references were made: {known.best}, driven over "
         f"{known.episodes} episodes of {_number(task.duration)} s. {how}. Costs at each operating point, with the standard "
         f"error of the last digits:\n\n{markdown_table(table)}"
     )

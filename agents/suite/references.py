@@ -24,7 +24,7 @@ from roadgym.suite import SuiteTask
 from roadgym.task import Task, make_task
 
 from ..certified import lower_bounds
-from ..evaluation import OperatingPoint, make_points
+from ..evaluation import OperatingPoint, make_points, standard_error
 from ..records import make_output, write_atomically
 from ..theory import optimum, theoretical_cost
 from .drivers import ZERO, Origin, drive_on, driver_of, zero_of
@@ -41,6 +41,7 @@ class Reference:
         damping: the constant damping of the score's zero, 1.
         constant, constant_error: its cost, and the standard error of that; 0 where theory knows it.
         best, best_error: the cost of the best known controller, likewise.
+        room, room_error: the share of the constant damping's cost that it saves, and the standard error of that.
         bound: what every controller costs at least; None where nothing is known.
     """
 
@@ -50,6 +51,8 @@ class Reference:
     constant_error: float
     best: float
     best_error: float
+    room: float
+    room_error: float
     bound: float | None
 
 
@@ -155,25 +158,32 @@ def make_references(
     drivers = {name: driver_of(task, origin) for name, origin in candidates.items()}
     zero = {ZERO: zero_of(task, dampings[0])}
     driven = drive_on(task, drivers | zero, episodes=episodes, seed=seed, report=report)
-    constants, errors = driven[ZERO].mean, driven[ZERO].standard_error
-    if plant.vary is None and not needs_simulation(plant.road, plant.speed_noise, plant.car):
-        pairs = zip(points, dampings, strict=True)
-        constants = np.array([theoretical_cost(plant, damping, each.speed, each.bandwidth) for each, damping in pairs])
-        errors = np.zeros(len(points))
-    best = min(drivers, key=lambda name: float(np.mean(driven[name].mean / constants)))
+    best = min(drivers, key=lambda name: float(np.mean(driven[name].mean / driven[ZERO].mean)))
+    exact = plant.vary is None and not needs_simulation(plant.road, plant.speed_noise, plant.car)
     bounds = lower_bounds(plant, points, "fast", report)
-    found = [
-        Reference(
-            point=point,
-            damping=dampings[k],
-            constant=float(constants[k]),
-            constant_error=float(errors[k]),
-            best=float(driven[best].mean[k]),
-            best_error=float(driven[best].standard_error[k]),
-            bound=bound.cost if isinstance(bound := bounds[k], LowerBound) else None,
+    found = []
+    for k, point in enumerate(points):
+        cost, error = float(driven[best].mean[k]), float(driven[best].standard_error[k])
+        constant, constant_error = float(driven[ZERO].mean[k]), float(driven[ZERO].standard_error[k])
+        # where theory does not know the constant damping's cost, both over the same roads know their ratio better
+        over = driven[best].adjusted_costs[k] - cost / constant * driven[ZERO].adjusted_costs[k]
+        room_error = float(standard_error(over)) / constant
+        if exact:
+            constant, constant_error = theoretical_cost(plant, dampings[k], point.speed, point.bandwidth), 0.0
+            room_error = error / constant
+        found.append(
+            Reference(
+                point=point,
+                damping=dampings[k],
+                constant=constant,
+                constant_error=constant_error,
+                best=cost,
+                best_error=error,
+                room=1 - cost / constant,
+                room_error=room_error,
+                bound=bound.cost if isinstance(bound := bounds[k], LowerBound) else None,
+            )
         )
-        for k, point in enumerate(points)
-    ]
     how = dict.fromkeys(METHODS[each.method].title if isinstance(each, LowerBound) else each for each in bounds)
     return References(
         points=tuple(found), best=best, origin=candidates[best], bound="; ".join(how), episodes=episodes, seed=seed

@@ -87,9 +87,9 @@ def _score(known: References, seeds: Sequence[Evaluation], zero: Evaluation) -> 
     at = {each.point: each for each in known.points}
     here = [at[point] for point in zero.points]
     saved = zero.adjusted_costs[:, None] - np.stack([each.adjusted_costs for each in seeds], axis=1)
-    episodes = saved.shape[-1]
-    room = np.repeat([[each.constant - each.best] for each in here], episodes, axis=1)
-    errors = np.hypot([each.constant_error for each in here], [each.best_error for each in here])
+    # the share of the constant damping's cost, as driven beside it, that is saved, over the share that the best known saves
+    room = zero.adjusted_costs * np.array([[each.room] for each in here])
+    errors = zero.mean * np.array([each.room_error for each in here])
     freedom = zero.degrees_of_freedom
 
     def percent(places: list[int]) -> Share:
@@ -104,7 +104,7 @@ def _score(known: References, seeds: Sequence[Evaluation], zero: Evaluation) -> 
         worst_speed=worst.speed,
         worst_bandwidth=worst.bandwidth,
         seeds=len(seeds),
-        episodes=episodes,
+        episodes=saved.shape[-1],
     )
 
 
