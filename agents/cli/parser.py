@@ -72,7 +72,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/apg"
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent, or a task of the suite")
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     add_evaluation(evaluate, seed=True)
@@ -130,7 +130,7 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym drive --controller skyhook --road multiplicative",
     )
     who = drive.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent, or a task of the suite")
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
     drive.add_argument(
@@ -156,7 +156,9 @@ def make_parser() -> argparse.ArgumentParser:
         "write a trained agent as C99, as ONNX, or as a table of the damping over two signals",
         "roadgym export --agent runs/ppo --to c --output firmware",
     )
-    export.add_argument("--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent")
+    export.add_argument(
+        "--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent, or a task of the suite"
+    )
     export.add_argument(
         "--to",
         choices=("c", "onnx", "table"),
