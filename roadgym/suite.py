@@ -246,7 +246,7 @@ TASKS: Mapping[str, SuiteTask] = {
                 "observation": ("travel",),
                 "sensors": {"noise": {"travel": 0.05}, "resolution": {"travel": 0.5}},
             },
-            speeds=(1.0, 1.5, 2.0),
+            speeds=(1.5, 2.0),
             bandwidths=BANDWIDTHS,
             duration=100.0,
             versions=FIRST,

@@ -159,7 +159,7 @@ def run_references(chosen: argparse.Namespace) -> None:
     from ..records import make_output
     from ..suite import task_named
     from ..suite.drivers import CANDIDATES, known_on
-    from ..suite.references import make_references, write_references
+    from ..suite.reference import make_references, write_references
 
     make_output(chosen.output)  # before the work
     tasks = [task_named(name) for name in chosen.tasks]

@@ -7,7 +7,7 @@ print(found.mean.value, found.mean.low, found.mean.high)
 
 from .entries import KINDS, Entry, load_entry, task_named
 from .leaderboard import table
-from .references import Reference, References, references
+from .reference import Reference, References, references
 from .running import run
 from .scoring import Score, score
 

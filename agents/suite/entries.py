@@ -9,8 +9,8 @@ it was given, see `KINDS`. Beside it lie, for every seed, one of
 
     agent-SEED/     a folder of ``roadgym train``
     SEED.onnx       a model of ``roadgym export --to onnx``, or another one with the same inputs and outputs
-    entry.py        for all seeds: Python with ``Driver(task, seed)``, a class whose objects have ``predict``; or, where nothing
-                    depends on the seed, a function ``predict`` alone
+    entry.py        for all seeds: Python with ``Driver(task, seed)``, of a `roadgym.SuiteTask`, a class whose objects have
+                    ``predict``; or, where nothing depends on the seed, a function ``predict`` alone
 
 ``predict(observation, state=None, episode_start=None, deterministic=True)`` is that of stable-baselines3: from observations of
 the task, float32, shape (n, signals), it gives damping ratios, shape (n, 1), and the state that it is handed back with the next

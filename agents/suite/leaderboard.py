@@ -17,7 +17,7 @@ from ..records import make_output, write_atomically
 from .baselines import learner_of
 from .drivers import driver_of, known_on
 from .entries import Entry
-from .references import references
+from .reference import references
 from .scoring import score, to_json
 
 FILE = Path(__file__).parent / "leaderboard.json"
@@ -101,7 +101,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         columns = list(zip(*lines(task, rows), strict=True))
         columns[4] = (HEAD[4], *aligned(columns[4][1:]))
         widths = [max(map(len, column)) for column in columns]
-        text.append(f"{task.id}: {task.title}")
+        text += wrapped(f"{task.id}: {task.title}")
         for line in zip(*columns, strict=True):
             left = [line[k].ljust(widths[k]) for k in (0, 1)]
             right = [line[k].rjust(widths[k]) for k in (2, 3, 4)]

@@ -18,7 +18,7 @@ from ..records import make_folder, write_atomically
 from .baselines import learner_of
 from .entries import KINDS
 from .leaderboard import LEGEND, lines
-from .references import references
+from .reference import references
 
 WHOLE = 128  # letters in a line
 

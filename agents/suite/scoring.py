@@ -20,7 +20,7 @@ from roadgym.suite import SuiteTask
 from ..evaluation import Evaluation, Predictor
 from ..results import Share, ratio
 from .drivers import ZERO, drive_on, zero_of
-from .references import References, references
+from .reference import References, references
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

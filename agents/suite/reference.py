@@ -186,7 +186,7 @@ def make_references(
         )
     how = dict.fromkeys(METHODS[each.method].title if isinstance(each, LowerBound) else each for each in bounds)
     return References(
-        points=tuple(found), best=best, origin=candidates[best], bound="; ".join(how), episodes=episodes, seed=seed
+        points=tuple(found), best=best, origin=candidates[best], bound=" and ".join(how), episodes=episodes, seed=seed
     )
 
 
