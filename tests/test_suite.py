@@ -32,6 +32,7 @@ FROZEN = {  # name: digest of all its parameters, and the sum of rewards of a sh
     "Explore-v0": ("adfeb08815dc8382", -145.33),
 }
 ROWS = leaderboard.read()
+QUICK = ("mixed_lookahead", "skyhook", "analytic_optimum")  # the optimal feedback takes a minute where it is not kept
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
@@ -50,16 +51,18 @@ def test_a_task_is_what_it_was(task):
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
-def test_references_and_rows_are_driven_again(task):
-    """The best known controller and every shipped agent save what references and leaderboard say, at one operating point."""
+def test_rows_are_driven_again(task):
+    """Every shipped agent, and a rule that is quickly made, save what leaderboard and references say at one operating point."""
     known = references(task)
-    middle = known.points[len(known.points) // 2]
-    shipped = [row for row in ROWS if row["task"] == task.name and "agent" in (row["origin"] or {})]
-    drivers = {"best": driver_of(task, known.origin), ZERO: zero_of(task, middle.damping)}
-    drivers |= {row["entry"]: driver_of(task, row["origin"]) for row in shipped}
+    place = len(known.points) // 2
+    middle = known.points[place]
+    rows = [row for row in ROWS if row["task"] == task.name and row["origin"] is not None]
+    quick = [row for rule in QUICK for row in rows if row["origin"].get("rule") == rule]
+    chosen = {row["entry"]: row for row in [*quick[:1], *(row for row in rows if "agent" in row["origin"])]}
+    assert len(chosen) == 2
     w1 = make_task(**task.parameters).car.natural_frequency
     driven = agents.evaluate(
-        drivers,
+        {ZERO: zero_of(task, middle.damping), **{name: driver_of(task, row["origin"]) for name, row in chosen.items()}},
         environment=task.parameters,
         speeds=[middle.point.speed],
         bandwidths=[middle.point.bandwidth],
@@ -69,13 +72,12 @@ def test_references_and_rows_are_driven_again(task):
         seed=3,
     )
     zero = driven[ZERO].adjusted_costs[0]
-    place = len(known.points) // 2
-    expected = {"best": 100.0} | {row["entry"]: row["points"][place]["value"] for row in shipped}
-    for name, value in expected.items():
-        costs = driven[name].adjusted_costs[0]
+    for name, row in chosen.items():
+        costs, told = driven[name].adjusted_costs[0], row["points"][place]
         saved = 1 - costs.mean() / zero.mean()
         error = (zero - costs - saved * zero).std(ddof=1) / zero.mean() / np.sqrt(len(zero))
-        assert abs(saved - value / 100 * middle.room) < 4 * error + 0.01, name
+        error = np.hypot(error, middle.room * (told["high"] - told["low"]) / 400)
+        assert abs(saved - middle.room * told["value"] / 100) < 4 * error + 0.01, name
 
 
 def test_bounds_lie_below_what_is_known():
