@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable
 from typing import Any, TypeAlias
 
@@ -64,8 +63,3 @@ def check_size(what: str, shapes: str, size: float, of: str) -> None:
     """Raise unless there are at most as many of ``what`` as the range ``of`` allows; ``shapes`` says what made them."""
     if size > RANGES[of].high:
         raise ParameterError(f"{shapes} must make at most {RANGES[of].high:.0f} {what}, got {size:.0f}")
-
-
-def processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)

@@ -22,6 +22,7 @@ from .interval import Floats as Floats
 from .interval import Interval as Interval
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
+from .processors import usual_threads
 from .record import (
     COUNTERS,
     DISABLED,
@@ -135,8 +136,7 @@ class Plant:
         self.num_envs = num_envs
         self.blocks = -(-num_envs // LANES)
         self.dtype = np.dtype(task.precision)
-        available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-        self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
+        self.threads = max(1, min(threads or usual_threads(), self.blocks // BLOCKS_PER_THREAD))
         road, noise, vary = task.road, task.speed_noise, task.vary
         self._driven = car = task.car if vary is None else vary.driven_car
         self._slowest = valve = task.valve if vary is None else vary.slowest_valve

@@ -26,6 +26,7 @@ from .options import (
     weights,
 )
 from .road import run_road
+from .sweep import run_sweep
 from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
@@ -120,6 +121,41 @@ def make_parser() -> argparse.ArgumentParser:
     add_evaluation(compare)
     add_estimator(compare, "agents trained here, and classical controllers, drive")
     add_environment(compare)
+
+    sweep = _command(
+        commands,
+        "sweep",
+        run_sweep,
+        "train and compare many agents at once, seeds by values of options, on this machine or a cluster; the same command "
+        "goes on where it was stopped; exit code 1 if any of it failed",
+        "roadgym sweep --over algorithm apg ppo --over road multiplicative gaussian --seeds 5 --output sweep",
+    )
+    sweep.add_argument("--output", type=nonempty, required=True, metavar="DIR", help="folder of agents, comparisons and jobs")
+    sweep.add_argument(
+        "--over",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("OPTION", "VALUE"),
+        help="values to try of an option of training or of the environment, several words in quotes: --over damping-range "
+        "'0.05 1' '0.2 1'; may be given again, for all combinations",
+    )
+    sweep.add_argument("--seeds", type=int, default=1, help="agents of each, of seeds from --seed on (%(default)s)")
+    sweep.add_argument("--on", default="processes", metavar="WHERE", help="here, processes, ray or slurm (%(default)s)")
+    sweep.add_argument("--workers", type=int, metavar="N", help="how many at once (the processors; Slurm must be told)")
+    sweep.add_argument(
+        "--launch",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an option of ray.init, or of submitit such as slurm_partition=short; may be given again",
+    )
+    sweep.add_argument("--controllers", nargs="+", metavar="NAME", help="as of compare")
+    sweep.add_argument("--bound", default="fast", metavar="BOUND", help="lower bounds, as of compare (%(default)s)")
+    add_training(sweep, seed_of="training, where it is the first one's, and of the evaluation's roads")
+    add_evaluation(sweep)
+    add_estimator(sweep, "agents, and classical controllers, drive")
+    add_environment(sweep)
 
     drive = _command(
         commands,
