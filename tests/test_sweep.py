@@ -7,6 +7,7 @@ import sys
 import torch
 
 import agents
+from agents import sweep
 from agents.cli import main
 from agents.training import silent, train
 
@@ -17,30 +18,31 @@ def test_a_sweep_trains_and_compares(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.yaml").write_text(json.dumps({"roadgym/QuarterCar-v0": TINY}))
     options = ["--hyperparameters", "tiny.yaml", "--speed-range", "1", "2", "--speeds", "1.5", "--bandwidths", "0.1"]
-    command = ["sweep", "--over", "damping-range", "0.1 1", "0.2 1", *options, "--controllers", "skyhook", "--bound", "none"]
-    command += ["--episodes", "16", "--seed", "3", "--output", "swept", "--workers", "2"]
-    assert main(command) == 0
+    command = ["sweep", *options, "--controllers", "skyhook", "--bound", "none", "--episodes", "16", "--output", "swept"]
+    assert main([*command, "--over", "damping-range", "0.2 1"]) == 0
     said = capsys.readouterr()
-    assert re.search(r"\ndamping-range 0\.1 1 +1 +\d\.\d{4} +-?\d+\.\d ±\d+\.\d % +n/a$", said.out, re.M)
-    assert said.err.endswith("jobs: 4 of 4\nwrote swept/sweep.json\n")
+    assert re.search(r"\ndamping-range 0\.2 1 +1 +\d\.\d{4} +-?\d+\.\d ±\d+\.\d % +n/a$", said.out, re.M)
+    assert said.err.endswith("jobs: 2 of 2\nwrote swept/sweep.json\n")
     folder = tmp_path / "swept" / "damping-range_0.2_1"
-    swept = agents.load(folder / "agent-3")
+    swept = agents.load(folder / "agent-0")
     assert swept.description["command"] == " ".join(sys.argv)
     environment = swept.description["environment"]
     assert environment["damping_range"] == [0.2, 1.0]
-    alone = train(tmp_path / "alone", algorithm="ppo", environment=environment, hyperparameters=TINY, seed=3, report=silent)
+    alone = train(tmp_path / "alone", algorithm="ppo", environment=environment, hyperparameters=TINY, report=silent)
     for one, other in zip(swept.model.policy.parameters(), alone.model.policy.parameters(), strict=True):
         assert torch.equal(one, other)
-    outcome = json.loads((tmp_path / "swept" / "sweep.json").read_text())[1]
+    (outcome,) = json.loads((tmp_path / "swept" / "sweep.json").read_text())
     assert outcome["closed"] == json.loads((folder / "comparison.json").read_text())["mean_gap_closed"]["agent"]["closed"]
-    # the same again has nothing to do; a seed that fails is told, and the others are compared
-    assert main([*command, "--seeds", "2", "--on", "here"]) == 0
-    (tmp_path / "swept" / "damping-range_0.1_1" / "agent-5").write_text("no folder")
-    capsys.readouterr()
-    assert main([*command, "--seeds", "3", "--on", "here"]) == 1
+    # more of it: what is done is not done again; a seed that fails is told, and the others are compared
+    monkeypatch.setattr(sweep, "write", lambda comparison, folder, report: written.append(folder))
+    (folder / "agent-1").write_text("no folder")
+    written = []
+    more = ["--over", "damping-range", "0.2 1", "0.1 1", "--seeds", "2", "--on", "here"]
+    assert main([*command, *more]) == 1
     said = capsys.readouterr().out
-    assert re.search(r"\ndamping-range 0\.1 1 +2 .*\ndamping-range 0\.2 1 +3 ", said)
-    assert "damping-range 0.1 1: seed 5: train_agent failed: AgentError: cannot write to the folder" in said
+    assert re.search(r"\ndamping-range 0\.2 1 +1 .*\ndamping-range 0\.1 1 +2 ", said)
+    assert "damping-range 0.2 1: seed 1: train_agent failed: AgentError: cannot write to the folder" in said
+    assert written == [str(tmp_path / "swept" / "damping-range_0.1_1")]
 
 
 def test_what_cannot_be_swept_is_told_at_once(tmp_path, capsys):
