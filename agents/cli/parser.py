@@ -59,7 +59,13 @@ def make_parser() -> argparse.ArgumentParser:
         "search for hyperparameters; the same command goes on with a study that was interrupted",
         "roadgym tune --algorithm ppo --storage study.db --output best.yaml",
     )
-    tune.add_argument("--storage", type=nonempty, required=True, metavar="FILE", help="SQLite file of the study")
+    tune.add_argument(
+        "--storage",
+        type=nonempty,
+        required=True,
+        metavar="PLACE",
+        help="of the study: an SQLite file, or a folder, on which many processes may search at once",
+    )
     tune.add_argument("--trials", type=int, default=20, help="trials in all, those in the file included (%(default)s)")
     tune.add_argument(
         "--output", type=nonempty, metavar="FILE", help="write the best as YAML that train --hyperparameters takes"
