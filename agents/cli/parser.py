@@ -37,9 +37,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="roadgym",
         description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
-        epilog="exit codes: 0 success; 1 a plant or a profile that is not certified; 2 a wrong argument, a file that cannot be "
-        "read or written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, "
-        "and none with NO_COLOR.",
+        epilog="exit codes: 0 success; 1 a plant or a profile that is not certified, or part of a sweep that failed; 2 a wrong "
+        "argument, a file that cannot be read or written, or a missing package (one line says which); 130 interrupted. Colours "
+        "and bars on a terminal only, and none with NO_COLOR.",
     )
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -110,19 +110,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--seeds", type=int, default=1, help="agents to train, each of another seed from --seed on (%(default)s)"
     )
     compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    compare.add_argument(
-        "--controllers",
-        nargs="+",
-        metavar="NAME",
-        help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
-    )
-    compare.add_argument(
-        "--bound",
-        default="fast",
-        metavar="BOUND",
-        help="lower bounds of all controllers to hold the costs against: fast, tight (minutes a point), none, or one method, "
-        "such as matrix_inequality (%(default)s)",
-    )
+    _add_references(compare)
     add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
     add_estimator(compare, "agents trained here, and classical controllers, drive")
@@ -156,8 +144,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUE",
         help="an option of ray.init, or of submitit such as slurm_partition=short; may be given again",
     )
-    sweep.add_argument("--controllers", nargs="+", metavar="NAME", help="as of compare")
-    sweep.add_argument("--bound", default="fast", metavar="BOUND", help="lower bounds, as of compare (%(default)s)")
+    _add_references(sweep)
     add_training(sweep, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(sweep)
     add_estimator(sweep, "agents, and classical controllers, drive")
@@ -355,6 +342,23 @@ def make_parser() -> argparse.ArgumentParser:
     )
     cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")
     return parser
+
+
+def _add_references(parser: argparse.ArgumentParser) -> None:
+    """What agents are compared with."""
+    parser.add_argument(
+        "--controllers",
+        nargs="+",
+        metavar="NAME",
+        help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
+    )
+    parser.add_argument(
+        "--bound",
+        default="fast",
+        metavar="BOUND",
+        help="lower bounds of all controllers to hold the costs against: fast, tight (minutes a point), none, or one method, "
+        "such as matrix_inequality (%(default)s)",
+    )
 
 
 def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> argparse.ArgumentParser:
