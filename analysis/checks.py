@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -63,3 +64,22 @@ def check_size(what: str, shapes: str, size: float, of: str) -> None:
     """Raise unless there are at most as many of ``what`` as the range ``of`` allows; ``shapes`` says what made them."""
     if size > RANGES[of].high:
         raise ParameterError(f"{shapes} must make at most {RANGES[of].high:.0f} {what}, got {size:.0f}")
+
+
+@contextlib.contextmanager
+def single_threaded_algebra() -> Iterator[None]:
+    """Linear algebra of NumPy and scipy on one thread, whatever their libraries would take.
+
+    Matrices here have a few hundred rows: threads wait for each other longer than they compute, on busy processors many times
+    as long. Without threadpoolctl, of the extra bounds, the threads are left to the environment, as by OPENBLAS_NUM_THREADS.
+    """
+    import scipy.linalg  # noqa: F401 - a library must be loaded to be limited
+
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        limited: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
+    else:
+        limited = threadpool_limits(1, user_api="blas")
+    with limited:
+        yield

@@ -25,6 +25,7 @@ EXTRAS = {  # what each brings, by the names that are imported
     "tune": ("optuna",),
     "recurrent": ("sb3_contrib",),
     "onnx": ("onnx",),
+    "bounds": ("threadpoolctl",),
 }
 PLAIN = f"""
 import sys

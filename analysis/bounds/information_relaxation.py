@@ -45,7 +45,7 @@ from roadgym.parameters import ParameterError, whole, within
 from roadgym.processors import usual_threads
 from roadgym.task import Task, make_task
 
-from ..checks import FloatArray
+from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.driving import drive
 from ..feedback.grid import STATE, SingleArray
 from ..feedback.iteration import sharing, tabulate
@@ -84,6 +84,7 @@ def refusal(task: Task) -> str | None:
     return None
 
 
+@single_threaded_algebra()
 def bound(
     task: Task,
     speed: float,
