@@ -68,7 +68,7 @@ def held(package: Any, storage: str | Path) -> Iterator[Place]:
     """
     path = Path(storage)
     try:
-        if path.is_dir() or os.fspath(storage).endswith(os.sep):
+        if path.is_dir() or os.fspath(storage).endswith(("/", os.sep)):
             presence = Presence(make_folder(path), "worker")
             try:
                 yield _Folder(package, path, presence)
