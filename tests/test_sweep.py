@@ -33,16 +33,31 @@ def test_a_sweep_trains_and_compares(tmp_path, capsys, monkeypatch):
         assert torch.equal(one, other)
     (outcome,) = json.loads((tmp_path / "swept" / "sweep.json").read_text())
     assert outcome["closed"] == json.loads((folder / "comparison.json").read_text())["mean_gap_closed"]["agent"]["closed"]
-    # more of it: what is done is not done again; a seed that fails is told, and the others are compared
-    monkeypatch.setattr(sweep, "write", lambda comparison, folder, report: written.append(folder))
+    # what is done is not done again; a seed that fails is told, and the others are compared
     (folder / "agent-1").write_text("no folder")
-    written = []
-    more = ["--over", "damping-range", "0.2 1", "0.1 1", "--seeds", "2", "--on", "here"]
-    assert main([*command, *more]) == 1
+    written = (folder / "comparison.html").stat().st_mtime_ns
+    assert main([*command, "--over", "damping-range", "0.2 1", "--seeds", "2", "--on", "here"]) == 1
     said = capsys.readouterr().out
-    assert re.search(r"\ndamping-range 0\.2 1 +1 .*\ndamping-range 0\.1 1 +2 ", said)
+    assert re.search(r"\ndamping-range 0\.2 1 +1 +\d", said)
     assert "damping-range 0.2 1: seed 1: train_agent failed: AgentError: cannot write to the folder" in said
-    assert written == [str(tmp_path / "swept" / "damping-range_0.1_1")]
+    assert (folder / "comparison.html").stat().st_mtime_ns == written
+
+
+def test_every_combination_is_swept(tmp_path, monkeypatch):
+    def swept(cases, folder, *, seeds, executor):
+        assert list(seeds) == [4, 5]
+        found.update({name: training["environment"] for name, (training, _) in cases.items()})
+        return [sweep.Outcome("", (), None, None, None, ())]
+
+    found = {}
+    monkeypatch.setattr(sweep, "sweep", swept)
+    over = ["--over", "damping-range", "0.1 1", "0.2 1", "--over", "road", "gaussian", "multiplicative"]
+    assert main(["sweep", *over, "--seeds", "2", "--seed", "4", "--on", "here", "--output", str(tmp_path)]) == 0
+    assert {name: (plant["damping_range"], plant["road"]) for name, plant in found.items()} == {
+        f"damping-range {low} 1, road {road}": ([low, 1.0], road)
+        for low in (0.1, 0.2)
+        for road in ("gaussian", "multiplicative")
+    }
 
 
 def test_what_cannot_be_swept_is_told_at_once(tmp_path, capsys):
