@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +21,7 @@ from .interval import Interval as Interval
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
 from .pool import pool
+from .processors import usual_threads
 from .record import (
     BEGIN,
     COUNTERS,
@@ -102,8 +102,7 @@ class Plant:
         self.num_envs = num_envs
         self.blocks = -(-num_envs // LANES)
         self.dtype = np.dtype(task.precision)
-        available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-        self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
+        self.threads = max(1, min(threads or usual_threads(), self.blocks // BLOCKS_PER_THREAD))
         road, noise, vary = task.road, task.speed_noise, task.vary
         self._driven = car = task.car if vary is None else vary.driven_car
         self._slowest = valve = task.valve if vary is None else vary.slowest_valve

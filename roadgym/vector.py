@@ -54,7 +54,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             ignores its action, returns the first observation and the reward 0. SAME_STEP: at once; the last observation and the
             infos of the old episode are under "final_obs" and "final_info". DISABLED: when ``reset`` is called with the option
             "reset_mask", a boolean array of shape (num_envs,); until then it drives on, truncated in every step.
-        threads: number of threads; results do not depend on it. By default one a processor, where the batch is large enough.
+        threads: number of threads; results do not depend on it. By default one a processor, where the batch is
+            large enough, or fewer where OMP_NUM_THREADS says so.
 
     All others are the parameters of `roadgym.task.make_task`.
     """

@@ -42,9 +42,10 @@ from typing import Any
 import numpy as np
 
 from roadgym.parameters import ParameterError, whole, within
+from roadgym.processors import usual_threads
 from roadgym.task import Task, make_task
 
-from ..checks import FloatArray, processors, single_threaded_algebra
+from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.driving import drive
 from ..feedback.grid import STATE, SingleArray
 from ..feedback.iteration import sharing, tabulate
@@ -115,7 +116,7 @@ def bound(
     if reason is not None:
         raise ParameterError(f"there is no such bound for this task: {reason}")
     precision, intervals = within("precision", precision, "relative_error"), whole("intervals", intervals)
-    count = processors() if threads is None else whole("threads", threads, of="threads")
+    count = usual_threads() if threads is None else whole("threads", threads, of="threads")
 
     furthest = 0
 
