@@ -142,7 +142,8 @@ class DrivenRoads:
         car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
         follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
         valve = None if self._valve is None else self._valve.begin(start, rows)
-        held, noises, cars, places = torch.zeros(len(car)), noise * torch.randn(length, len(car)), [], []
+        place = held = torch.zeros(len(car))
+        noises, cars, places = noise * torch.randn(length, len(car)), [], []
         for n, step in enumerate(range(start, start + length)):
             answer = policy(seen if step == start else self._sees(car, held, step, rows, follow))[:, 0]
             place = held = torch.tanh(answer + noises[n])
