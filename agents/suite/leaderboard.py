@@ -70,7 +70,8 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """A row in the columns of `HEAD`."""
 
     def share(known: Mapping[str, float]) -> str:
-        return f"{known['value']:.1f} ±{(known['high'] - known['low']) / 2:.1f}"
+        digits = 1 if abs(known["value"]) < 200 else 0
+        return f"{known['value']:.{digits}f} ±{(known['high'] - known['low']) / 2:.{digits}f}"
 
     where = f"{row['worst_speed']:g}" + (f", {row['worst_bandwidth']:g}" if row["worst_bandwidth"] else "")
     seeds = str(len(row["seeds"])) if row["steps"] else "-"
