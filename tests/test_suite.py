@@ -60,7 +60,8 @@ def test_rows_are_driven_again(task):
     quick = [row for rule in QUICK for row in rows if row["origin"].get("rule") == rule]
     chosen = {row["entry"]: row for row in [*quick[:1], *(row for row in rows if "agent" in row["origin"])]}
     assert len(chosen) == 2
-    w1 = make_task(**task.parameters).car.natural_frequency
+    plant = make_task(**task.parameters)
+    w1 = plant.car.natural_frequency
     driven = agents.evaluate(
         {ZERO: zero_of(task, middle.damping), **{name: driver_of(task, row["origin"]) for name, row in chosen.items()}},
         environment=task.parameters,
@@ -68,7 +69,7 @@ def test_rows_are_driven_again(task):
         bandwidths=[middle.point.bandwidth],
         episodes=16,
         transient=15 / w1,
-        duration=25 / w1,
+        duration=max(25 / w1, plant.control_interval),
         seed=3,
     )
     zero = driven[ZERO].adjusted_costs[0]
