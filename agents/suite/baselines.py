@@ -56,7 +56,7 @@ LEARNERS: Mapping[str, Learner] = {  # of every task, but for those of `OWN`
     "td3": Learner(title="TD3", kind="plain", algorithm="td3", file="td3", changes=BLIND, timesteps=100_032),
 }
 OWN: Mapping[str, Learner] = {  # what this project trains on tasks where its gradient through the plant is not to be had
-    "Schedule-v0": dataclasses.replace(PPO, title="PPO of schedules", file="ppo_scheduling", timesteps=2_506_752),
+    "Schedule-v0": dataclasses.replace(PPO, title="bandit PPO", file="ppo_scheduling", timesteps=2_506_752),
     "OneAccelerometer-v0": dataclasses.replace(APG, title="APG, filtered", changes={"estimator": "kalman"}, timesteps=768_000),
     "SlowValve-v0": dataclasses.replace(
         PPO, title="PPO with lookahead", kind="recipe", file="ppo", changes=PATIENT, timesteps=503_808

@@ -12,7 +12,6 @@ from roadgym import TASKS
 from roadgym.suite import SuiteTask
 
 from .. import pretrained
-from ..numerals import aligned
 from ..records import make_output, write_atomically
 from .baselines import learner_of
 from .drivers import driver_of, known_on
@@ -70,7 +69,9 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """A row in the columns of `HEAD`."""
 
     def share(known: Mapping[str, float]) -> str:
-        return f"{known['value']:.1f} ±{(known['high'] - known['low']) / 2:.1f}"
+        half = (known["high"] - known["low"]) / 2
+        digits = 1 if half < 2 else 0
+        return f"{known['value']:.{digits}f} ±{half:.{digits}f}"
 
     where = f"{row['worst_speed']:g}" + (f", {row['worst_bandwidth']:g}" if row["worst_bandwidth"] else "")
     seeds = str(len(row["seeds"])) if row["steps"] else "-"
@@ -81,7 +82,7 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
 def bound_row(task: SuiteTask) -> tuple[str, ...]:
     """The row of the lower bound."""
     score = references(task).bound_score
-    return ("lower bound", "certified", "-", "-", "n/a" if score is None else f"{score:.1f}", "-")
+    return ("lower bound", "bound", "-", "-", "n/a" if score is None else f"{score:.1f}", "-")
 
 
 def lines(task: SuiteTask, rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
@@ -97,7 +98,6 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         if not any(row["task"] == task.name for row in rows):
             continue
         columns = list(zip(*lines(task, rows), strict=True))
-        columns[4] = (HEAD[4], *aligned(columns[4][1:]))
         widths = [max(map(len, column)) for column in columns]
         text += wrapped(f"{task.id}: {task.title}")
         for line in zip(*columns, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pprint
+import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -123,7 +123,7 @@ def _reward(plant: Task) -> str:
 
 
 def _parameters(task: SuiteTask) -> str:
-    return "```python\n" + pprint.pformat(dict(task.parameters), width=100, sort_dicts=False, compact=True) + "\n```"
+    return f"```json\n{json.dumps(dict(task.parameters), indent=1)}\n```"
 
 
 def _score(task: SuiteTask) -> str:
