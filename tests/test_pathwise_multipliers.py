@@ -73,7 +73,8 @@ def test_the_slope_of_the_dual_is_that_of_differences():
 
 @pytest.mark.statistical
 @pytest.mark.parametrize(
-    "plant", [{"road": "gaussian", "speed": 1.5, "bandwidth": 0.8, "reward": {"acceleration": 1.0, "travel": 0.5}}, COMFORT, PROFILE]
+    "plant",
+    [{"road": "gaussian", "speed": 1.5, "bandwidth": 0.8, "reward": {"acceleration": 1.0, "travel": 0.5}}, COMFORT, PROFILE],
 )
 def test_where_the_damping_is_nearly_fixed_it_is_the_closed_form_but_for_the_ends(plant, monkeypatch):
     monkeypatch.setattr(pathwise_multipliers, "DURATION", 60.0)
