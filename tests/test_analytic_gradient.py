@@ -49,10 +49,10 @@ def test_what_was_driven_is_driven_again(plant):
     _, roads = driven(plant, noise=0.0, policy_kwargs={"net_arch": [8]})
     step, rows = 4, slice(None)
     car, ends, place = roads._car[step], roads._ends[step], torch.from_numpy(roads._places[step])
-    moved, cost = roads._interval(car, ends, place)
+    moved, cost = roads._moved(car, roads._forced[step], place), roads._cost(car, ends, place)
     scale = roads._car.abs().mean()
-    assert (moved + roads._left[step] - roads._car[step + 1]).abs().max() < 1e-5 * scale
-    assert (moved - roads._car[step + 1]).abs().mean() < 0.05 * scale  # of the road between the ends little is left out
+    assert (moved - roads._car[step + 1]).abs().max() < 1e-5 * scale
+    assert roads._left[step].abs().mean() < 0.05 * scale  # of the road between the ends little is left out
     roads._look(roads._states[step, :, -3:-1])
     seen = roads._sees(roads._car[step + 1], place, step + 1, rows, None)
     np.testing.assert_allclose(seen, roads._seen[step + 1], rtol=1e-3, atol=1e-3)
@@ -75,9 +75,7 @@ def test_costs_of_intervals_are_those_of_the_environment(plant):
         roads.answer(step, seen, action, ended)
     roads.note(120, *envs.road_and_car())
     roads.finish()
-    _, cost = roads._interval(
-        roads._car[:-1].flatten(0, 1), roads._ends.flatten(0, 1), torch.from_numpy(roads._places).flatten()
-    )
+    cost = roads._cost(roads._car[:-1].flatten(0, 1), roads._ends.flatten(0, 1), torch.from_numpy(roads._places).flatten())
     modelled = cost.numpy().reshape(120, 64)
     assert modelled[40:].mean() == pytest.approx(-paid[40:].mean(), rel=0.03)
     assert np.corrcoef(modelled[40:].ravel(), paid[40:].ravel())[0, 1] < -0.99
@@ -108,7 +106,7 @@ def test_what_another_damping_does_to_the_car_is_what_the_environment_does():
         ends.append(roads)
     first, second = ends
     changed = second._car[41] - first._car[41]
-    moved = [first._interval(first._car[40], first._ends[40], torch.full((64,), place))[0] for place in (-0.2, 0.2)]
+    moved = [first._moved(first._car[40], first._forced[40], torch.full((64,), place)) for place in (-0.2, 0.2)]
     assert (moved[1] - moved[0] - changed).abs().max() < 0.03 * changed.abs().max()
 
 
@@ -130,7 +128,8 @@ def test_features_in_torch_are_those_that_the_agent_sees(features):
     observations = np.random.default_rng(0).uniform(0.1, 0.7, (20, 7)).astype(np.float32)
     lookahead = sight.features.lookahead
     forms = np.empty((20, 0)) if lookahead is None else lookahead.forms(observations[:, lookahead.point])
-    seen = Seen(sight.features, 7)(torch.from_numpy(observations), torch.from_numpy(forms))
+    shown = Seen(sight.features, 7)
+    seen = shown(torch.from_numpy(observations), shown.of_pairs(torch.from_numpy(forms)))
     np.testing.assert_allclose(seen, sight(observations, None), rtol=1e-5, atol=1e-5)
 
 

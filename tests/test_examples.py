@@ -1,6 +1,7 @@
 """The worked examples run at a small size, and the snippets of the documentation print what it says."""
 
 import doctest
+import importlib.util
 import math
 import os
 import re
@@ -22,8 +23,8 @@ SNIPPETS = {
 }
 
 
-def run(script, *arguments, folder):
-    command = [sys.executable, "-W", "error", ROOT / "examples" / script, *arguments]
+def run(script, *arguments, folder, warnings="error"):
+    command = [sys.executable, "-W", warnings, ROOT / "examples" / script, *arguments]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}  # small networks are fastest on one thread
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
     assert done.returncode == 0, done.stderr
@@ -124,6 +125,31 @@ def test_one_accelerometer(tmp_path):
         assert 0 < error < 10
         shares.append(share)
     assert 60 < shares[1] < shares[0] < 105
+
+
+# sizes that take seconds, and the smallest share of the gap then, in per cent; one that has learned nothing is at -5
+LEARNERS = {
+    "skrl": ("with_skrl.py", "--timesteps", "32768", 10),
+    "stable_baselines3": ("with_stable_baselines3.py", "--timesteps", "4096", -10),
+    "sbx": ("with_stable_baselines3.py", "--package=sbx", "--timesteps", "65536", 10),
+    "torchrl": ("with_torchrl.py", "--timesteps", "32768", 10),
+    "ray+ormsgpack": ("with_rllib.py", "--timesteps", "65536", 10),
+    "minari+jax+h5py": ("with_minari.py", "--drives", "10", 60),
+}
+
+
+@pytest.mark.parametrize("packages", LEARNERS)  # what a library needs of its own extras beside itself
+def test_other_libraries_learn(packages, tmp_path):
+    for package in packages.split("+"):
+        if not importlib.util.find_spec(package):
+            pytest.skip(f"{package} is not installed")
+    script, *size, least = LEARNERS[packages]
+    # each of them warns of itself with one release or another of what it stands on
+    output = run(f"learners/{script}", *size, "--episodes", "16", folder=tmp_path, warnings="default")
+    share, error = (float(text) for text in re.search(r"closes (\S+) ± (\S+) % of the gap", output).groups())
+    assert 0 < error < 2
+    assert least < share < 100
+    assert ("the environment is recovered: True" in output) == (script == "with_minari.py")
 
 
 def test_a_rule_made_for_one_road_sees_another_in_its_terms():
