@@ -45,8 +45,8 @@ def test_no_force_within_the_sector_costs_less_than_multipliers_prove_on_a_road_
     assert proved > dual(held.chain, forcing)(start)[0]
     assert multipliers.min() >= 0
     generator, least = np.random.default_rng(2), np.inf
-    for rule in range(200):
-        car, total = generator.standard_normal(4) * 0.3 * generator.random(), 0.0
+    for rule in range(50):
+        car, total, summed = generator.standard_normal(4) * 0.3 * generator.random(), 0.0, beyond
         for k in range(60):  # with nothing but the plant and x'Px: none of the sums of the forcing
             state = np.append(car, road[k])
             share = generator.random() if rule % 2 else float(generator.random() < 0.5)
@@ -57,7 +57,10 @@ def test_no_force_within_the_sector_costs_less_than_multipliers_prove_on_a_road_
             after = mean + noise[k]
             penalty = after @ form @ after - mean @ form @ mean - np.sum(form * held.covariance)
             total += pair @ held.cost @ pair + held.constant - penalty
+            own = np.append(car, force)
+            summed += own @ held.chain.cost @ own + 2 * forcing.linear[k] @ own
             car = after[:4]
+        assert summed == pytest.approx(total)
         least = min(least, total)
     assert least > proved + beyond
 
