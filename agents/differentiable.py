@@ -21,6 +21,7 @@ from roadgym.task import OPERATING_POINT, SATURATION, Task
 
 from .advantage import ROAD_STATES, is_differentiable
 from .differentiable_filter import DrivenFilter, Filtering, Following, powers, single
+from .differentiable_valve import DrivenValve
 from .features import Features, Sight
 
 with needs("train"):
@@ -43,13 +44,15 @@ class DrivenRoads:
         estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
 
     Raises:
-        ParameterError: a stack of observations, a valve, cars that vary, or sensors without one plain filter of them.
+        ParameterError: a stack of observations, a valve of limited rate, cars that vary, or sensors without one plain filter of
+            them; or such a filter behind a valve.
     """
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int, estimator: Filtering | None = None) -> None:
         if not is_differentiable(task, None if estimator is None else "kalman"):
-            but = "" if estimator is None else " but for noise, speed and bandwidth known"
-            needed = f"sensors and valve must be ideal{but}, and cars alike,"
+            needed = "sensors must be ideal, the rate of the valve unlimited, and cars alike,"
+            if estimator is not None:
+                needed = "sensors and valve must be ideal but for noise, speed and bandwidth known, and cars alike,"
             raise ParameterError(f"{needed} for a gradient through the plant: choose another algorithm")
         if sight.frame_stack > 1:
             raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
@@ -63,6 +66,7 @@ class DrivenRoads:
         full = task if estimator is None else estimator.filter.full
         self._sensing, self._measuring = Sensing(full), Sensing(task)
         self._filter = None if estimator is None else DrivenFilter(estimator, num_envs, steps)
+        self._valve = None if task.ideal_valve else DrivenValve(task, num_envs, steps)
         self._names = full.signals
         self._features = sight.features
         self._combined = None if sight.features is None else Seen(sight.features, len(self._names))
@@ -88,7 +92,9 @@ class DrivenRoads:
         self, step: int, seen: npt.NDArray[np.float32], action: npt.NDArray[np.float32], ended: npt.NDArray[np.bool_]
     ) -> None:
         """Record what was seen before a step, what was answered, shape (num_envs, 1), and whose episode ended with it."""
-        self._seen[step], self._places[step], self._ended[step] = seen, action[:, 0], ended
+        commands = torch.from_numpy(action[:, 0])
+        place = commands if self._valve is None else self._valve.note(step, commands, ended)
+        self._seen[step], self._places[step], self._ended[step] = seen, place, ended
 
     def finish(self) -> None:
         """Work out what the road did, after the last note."""
@@ -135,10 +141,15 @@ class DrivenRoads:
         self._look(self._states[start, :, self._cars + 2 : self._cars + 4])
         car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
         follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
-        place, noises, cars, places = torch.zeros(len(car)), noise * torch.randn(length, len(car)), [], []
+        valve = None if self._valve is None else self._valve.begin(start, rows)
+        place = held = torch.zeros(len(car))
+        noises, cars, places = noise * torch.randn(length, len(car)), [], []
         for n, step in enumerate(range(start, start + length)):
-            answer = policy(seen if step == start else self._sees(car, place, step, rows, follow))[:, 0]
-            place = torch.tanh(answer + noises[n])
+            answer = policy(seen if step == start else self._sees(car, held, step, rows, follow))[:, 0]
+            place = held = torch.tanh(answer + noises[n])
+            if self._valve is not None and valve is not None:
+                place, valve = self._valve(valve, place)
+                held = valve[:, 0]
             cars.append(car)
             places.append(place)
             car = self._moved(car, self._forced[step, rows], place)
@@ -162,7 +173,7 @@ class DrivenRoads:
         return (powers(place, self._terms) * squares[:, :, 0]).sum(1)
 
     def _sees(self, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None) -> Tensor:
-        """What the policy sees before a step, after an interval at a damping in ``place``."""
+        """What the policy sees before a step, after an interval with a damping in ``place`` at its end."""
         if self._filter is None or follow is None:
             told = self._sensing(car, place, self._given[step, rows])
         else:

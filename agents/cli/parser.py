@@ -26,6 +26,7 @@ from .options import (
     weights,
 )
 from .road import run_road
+from .suite import add_suite
 from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
@@ -71,7 +72,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/apg"
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent, or a task of the suite")
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     add_evaluation(evaluate, seed=True)
@@ -129,7 +130,7 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym drive --controller skyhook --road multiplicative",
     )
     who = drive.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent, or a task of the suite")
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
     drive.add_argument(
@@ -155,7 +156,9 @@ def make_parser() -> argparse.ArgumentParser:
         "write a trained agent as C99, as ONNX, or as a table of the damping over two signals",
         "roadgym export --agent runs/ppo --to c --output firmware",
     )
-    export.add_argument("--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent")
+    export.add_argument(
+        "--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent, or a task of the suite"
+    )
     export.add_argument(
         "--to",
         choices=("c", "onnx", "table"),
@@ -304,6 +307,8 @@ def make_parser() -> argparse.ArgumentParser:
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table (all)")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
+    add_suite(commands, _command)
+
     cache = _command(
         commands,
         "cache",
@@ -333,9 +338,12 @@ def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> 
 def given_options(arguments: Sequence[str] | None) -> frozenset[str]:
     """Names of the options that are given, whatever their values; the arguments must be right."""
     parser = make_parser()
-    for command in _commands(parser).values():
+    commands = list(_commands(parser).values())
+    for command in commands:
         for action in command._actions:
             action.default = argparse.SUPPRESS
+            if isinstance(action, argparse._SubParsersAction):  # a command of commands
+                commands += action.choices.values()
     return frozenset(vars(parser.parse_args(arguments)))
 
 

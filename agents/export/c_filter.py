@@ -264,8 +264,8 @@ def c_filter(known: KalmanFilter) -> CFilter:
     task = known.task
     if len(known.bank) > 1:
         raise AgentError(
-            "cannot export a bank of Kalman filters over an operating point that is hidden: "
-            "fix speed and bandwidth, or have them observed"
+            "cannot export a bank of Kalman filters over what is hidden: "
+            "fix speed and bandwidth, or have them observed, and let no car vary"
         )
     if known.parts > 1:
         raise AgentError(
