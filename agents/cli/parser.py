@@ -231,7 +231,7 @@ def make_parser() -> argparse.ArgumentParser:
         "if a bound exceeds a driven cost",
     )
     certify.add_argument("--bandwidth", type=float, metavar="DELTA", help="with --optimal: of the road (the road's own)")
-    for name in ("damping_range", "reward"):
+    for name in ("damping_range", "reward", "sensors", "valve"):
         option, how = ENVIRONMENT[name]
         certify.add_argument(option, dest=f"environment_{name}", **{**how, "help": f"with --optimal: {how['help']}"})
     certify.add_argument(

@@ -52,7 +52,7 @@ from ..feedback.iteration import sharing, tabulate
 from ..feedback.model import Model
 from ..feedback.policy import OptimalFeedback
 from ..feedback.search import BOX, is_second_order, optimal_feedback
-from .bound import STATISTICAL, LowerBound
+from .bound import STATISTICAL, LowerBound, common_refusal
 from .relaxation.inner import Grid, Steps, along, relax
 from .relaxation.roads import Drives, RoadChain, levels, nearest
 
@@ -72,9 +72,9 @@ ASSUMPTION = (
 
 def refusal(task: Task) -> str | None:
     """Why there is no such bound for ``task``, in a few words; None where there is."""
-    road = task.road.shaping_filter()
-    if task.speed_noise is not None:
-        return "information relaxation knows no noise on the speed"
+    reason, road = common_refusal(task), task.road.shaping_filter()
+    if reason is not None:
+        return reason
     if not task.valve.ideal:
         return "information relaxation needs a damping that is held over each control interval, and so an ideal valve"
     if not is_second_order(task.car):
