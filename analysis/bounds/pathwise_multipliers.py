@@ -34,9 +34,10 @@ import numpy as np
 
 from roadgym.linear import LinearSystem, ShapingFilter
 from roadgym.parameters import ParameterError, whole, within
+from roadgym.processors import usual_threads
 from roadgym.task import Task
 
-from ..checks import FloatArray, processors, single_threaded_algebra
+from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.iteration import sharing
 from ..optimum import optimal_damping
 from ..quadratic import value_form
@@ -101,7 +102,7 @@ def bound(
     if reason is not None:
         raise ParameterError(f"there is no such bound for this task: {reason}")
     precision = within("precision", precision, "relative_error")
-    count = processors() if threads is None else whole("threads", threads, of="threads")
+    count = usual_threads() if threads is None else whole("threads", threads, of="threads")
     told = report or (lambda done, total: None)
     if task.road.periodic is not None:
         cost, error = _measured(task, speed), 0.0
