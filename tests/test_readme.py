@@ -80,7 +80,7 @@ def test_commands_of_the_documentation_are_understood(command):
 def test_every_command_has_an_example_that_is_understood():
     parser = make_parser()
     commands = next(action.choices for action in parser._actions if isinstance(action.choices, dict))
-    assert len(commands) == 14
+    assert len(commands) == 15
     for name, command in commands.items():
         example = shlex.split(command.epilog.removeprefix("example: "))
         assert example[:2] == ["roadgym", name]
