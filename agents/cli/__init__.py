@@ -1,6 +1,5 @@
-"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``sweep``, ``drive``, ``export``,
-``suite``, ``certify``,
-``road``, ``benchmark``, ``figures``, ``explore``, ``errata`` and ``cache``.
+"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``sweep``, ``suite``, ``drive``, ``export``,
+``certify``, ``road``, ``benchmark``, ``figures``, ``explore``, ``errata`` and ``cache``.
 
 Exit codes: 0 success, 1 a plant or a profile that is not certified or part of a sweep that failed, 2 a wrong argument, a file
 that cannot be read or written, or a missing package (one line says which), 130 interrupted, 143 terminated.
