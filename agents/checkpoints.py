@@ -21,7 +21,7 @@ from roadgym.installation import needs
 from .agent import TRAINING, save
 
 with needs("train"):
-    import cloudpickle  # type: ignore[import-untyped]
+    import cloudpickle
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
