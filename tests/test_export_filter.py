@@ -137,7 +137,7 @@ def test_c_filters_and_answers_as_the_agent(case, filters, tmp_path):
     ("case", "points"),
     [
         ("over a range", {"speeds": [1.0, 1.5], "bandwidths": [0.2]}),
-        ("a bank, a late valve with limited rate and lag", {"speeds": [1.5], "bandwidths": [0.2], "episodes": 8}),
+        ("a bank, a late valve with limited rate and lag", {"speeds": [1.5], "bandwidths": [0.2], "episodes": 16}),
     ],
 )
 def test_c_drives_by_the_filter_as_the_agent(case, points, filters, tmp_path):
