@@ -50,7 +50,7 @@ def _bar() -> Iterator[Callable[[str, int, int, str], None]]:
         def show(what: str, done: int, total: int, remark: str) -> None:
             if what not in bars:
                 bars[what] = progress.add_task(what, total=total, remark=remark)
-            progress.update(bars[what], completed=done, remark=remark)  # type: ignore[arg-type]
+            progress.update(bars[what], completed=done, total=total, remark=remark)  # type: ignore[arg-type]
 
         yield show
 
@@ -104,3 +104,22 @@ def work_progress() -> Iterator[Callable[[str, int, int], None]]:
             tell(what, done, total, "")
 
         yield report
+
+
+@contextlib.contextmanager
+def jobs_progress() -> Iterator[Callable[[int, int, int], None]]:
+    """A report for `agents.jobs.executor`, with the time that is left at the pace so far."""
+    begin, last = time.monotonic(), (0, 0, 0)
+    with _bar() as tell:
+
+        def report(done: int, failed: int, total: int) -> None:
+            nonlocal last
+            last = done, failed, total
+            if (over := done + failed) < total:  # more may follow: that all are over is told at the end
+                left = (time.monotonic() - begin) / over * (total - over)
+                tell("jobs", over, total, f"{failed} failed, about {left:.0f} s left")
+
+        yield report
+        done, failed, total = last
+        if total:
+            tell("jobs", done + failed, total, f"{failed} failed" if failed else "")

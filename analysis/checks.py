@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -69,3 +70,22 @@ def check_size(what: str, shapes: str, size: float, of: str) -> None:
 def processors() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+@contextlib.contextmanager
+def single_threaded_algebra() -> Iterator[None]:
+    """Linear algebra of NumPy and scipy on one thread, whatever their libraries would take.
+
+    Matrices here have a few hundred rows: threads wait for each other longer than they compute, on busy processors many times
+    as long. Without threadpoolctl, of the extra bounds, the threads are left to the environment, as by OPENBLAS_NUM_THREADS.
+    """
+    import scipy.linalg  # noqa: F401 - a library must be loaded to be limited
+
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        limited: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
+    else:
+        limited = threadpool_limits(1, user_api="blas")
+    with limited:
+        yield

@@ -24,6 +24,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import llvmlite
@@ -148,10 +149,11 @@ def _digest(file: Path) -> str:
     return digest
 
 
-def stamp_of(function: Callable[..., Any]) -> str | None:
-    """The stamp of the sources that ``function`` is compiled from; None where there are none, as at a prompt."""
+def stamp_of(*functions: Callable[..., Any] | ModuleType) -> str | None:
+    """The stamp of the sources that functions, or modules, are of; None where there are none, as at a prompt."""
     try:
-        own, here = (_digest(Path(path).absolute()) for path in (inspect.getfile(function), __file__))
+        own = "".join(_digest(Path(inspect.getfile(function)).absolute()) for function in functions)
+        here = _digest(Path(__file__).absolute())
     except (OSError, TypeError):
         return None
     return hashlib.sha256(f"{here}{own}".encode()).hexdigest()[:32]

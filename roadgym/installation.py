@@ -1,8 +1,8 @@
 """What is installed: packages that an extra brings, and whether `agents` and `analysis` are those of roadgym.
 
-A plain installation holds gymnasium, numba, NumPy and scipy. Whoever needs more imports it within `needs`, which says in one
-line which extra brings it. The names `agents` and `analysis` are nobody's own: another distribution may overwrite them, and a
-folder beside a script comes before them. `check_package` finds out.
+A plain installation holds gymnasium, numba, NumPy and scipy. Whoever needs more imports it within `needs`, which
+says in one line which extra brings it. The names `agents` and `analysis` are nobody's own: another distribution may overwrite
+them, and a folder beside a script comes before them. `check_package` finds out.
 """
 
 from __future__ import annotations

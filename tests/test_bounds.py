@@ -5,13 +5,24 @@ import json
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import analysis
 import roadgym
 from agents.controllers import make_controller
 from agents.evaluation import evaluate
 from agents.theory import optimum, theoretical_cost
-from analysis.bounds import METHODS, PROVED, RIGOURS, LowerBound, Method, kept_files, matrix_inequality, refusal
+from analysis.bounds import (
+    METHODS,
+    PROVED,
+    RIGOURS,
+    LowerBound,
+    Method,
+    kept_files,
+    matrix_inequality,
+    refusal,
+    sums_of_squares,
+)
 from analysis.quadratic import periodic_mean_squares, plant_system
 from roadgym.parameters import ParameterError
 from roadgym.roads import make_road
@@ -188,6 +199,20 @@ def test_more_room_costs_little_and_less_room_than_rounding_is_no_proof(monkeypa
     monkeypatch.setattr(matrix_inequality, "MARGINS", (0.0,))
     with pytest.raises(ParameterError, match="rounding is too large to prove it"):
         bound_of(task)
+
+
+def test_linear_algebra_of_a_bound_is_on_one_thread_and_then_again_on_those_that_there_were():
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    inside = []
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        task = make_task(road="first_order", speed=1.0)
+        sums_of_squares.certificate(task, 1.0, 0.0, degree=2, report=lambda done, total: inside.append(threads()))
+        assert threads() == before == {2}
+    assert all(each == {1} for each in inside)
+    assert inside
 
 
 # ---------------------------------------------------------------------- the front door

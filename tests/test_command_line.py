@@ -160,7 +160,7 @@ def test_interruption_before_a_checkpoint_promises_none(tmp_path, seconds):
     working = start("train", "--output", "a", "--timesteps", "100000000", folder=tmp_path)
     time.sleep(seconds)
     working.send_signal(signal.SIGINT)
-    said = working.communicate(timeout=60)[1]
+    said = working.communicate(timeout=300)[1]
     assert "Traceback" not in said
     assert working.returncode == 128 + signal.SIGINT
     saved = (tmp_path / "a" / "agent.json").exists()
@@ -171,13 +171,13 @@ def test_interruption_before_a_checkpoint_promises_none(tmp_path, seconds):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_terminated_film_leaves_nothing_half_written(tmp_path):
     working = start("drive", "--controller", "skyhook", "--output", "film.gif", "--seconds", "1000", folder=tmp_path)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not list(tmp_path.glob(".part-*")) and time.monotonic() < deadline:
         time.sleep(0.1)
     time.sleep(1.0)
     assert list(tmp_path.glob(".part-*"))
     working.terminate()
-    said = working.communicate(timeout=60)[1]
+    said = working.communicate(timeout=300)[1]
     assert working.returncode == 128 + signal.SIGTERM
     assert said.splitlines()[-1] == "roadgym drive: interrupted"
     assert not list(tmp_path.iterdir())

@@ -125,5 +125,5 @@ def test_the_workflow_tries_the_lowest_and_the_newest_releases():
     job = workflow["jobs"]["releases"]
     install, tests = (step["run"] for step in job["steps"] if "run" in step)
     assert "pip install ${{ matrix.constraints }} -e '.[test]'" in install
-    assert tests == ".venv/bin/python -m pytest"
+    assert tests == ".venv/bin/python -m pytest -n auto"
     assert [each["constraints"] for each in job["strategy"]["matrix"]["include"]] == ["-c constraints-floor.txt", ""]

@@ -25,6 +25,7 @@ EXTRAS = {  # what each brings, by the names that are imported
     "tune": ("optuna",),
     "recurrent": ("sb3_contrib",),
     "onnx": ("onnx",),
+    "bounds": ("threadpoolctl",),
 }
 PLAIN = f"""
 import sys
@@ -156,7 +157,7 @@ def test_python_is_told_in_the_same_line(what, extra):
 
 def test_extras_are_those_that_messages_name():
     optional = PROJECT["optional-dependencies"]
-    assert set(optional) == {*EXTRAS, "all", "docs", "test", "lint"}
+    assert set(optional) == {*EXTRAS, "ray", "slurm", "all", "docs", "test", "lint"}  # those of clusters in no other
     names = {"yaml": "pyyaml", "PIL": "pillow", "pygame": "pygame-ce"}  # of distributions, where they differ
     for extra, packages in EXTRAS.items():
         brought = {canonicalize_name(Requirement(line).name) for line in optional[extra]} - {"roadgym"}

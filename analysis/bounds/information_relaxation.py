@@ -44,7 +44,7 @@ import numpy as np
 from roadgym.parameters import ParameterError, whole, within
 from roadgym.task import Task, make_task
 
-from ..checks import FloatArray, processors
+from ..checks import FloatArray, processors, single_threaded_algebra
 from ..feedback.driving import drive
 from ..feedback.grid import STATE, SingleArray
 from ..feedback.iteration import sharing, tabulate
@@ -83,6 +83,7 @@ def refusal(task: Task) -> str | None:
     return None
 
 
+@single_threaded_algebra()
 def bound(
     task: Task,
     speed: float,

@@ -46,7 +46,7 @@ import numpy as np
 from roadgym.parameters import ParameterError
 from roadgym.task import Task
 
-from ..checks import FloatArray
+from ..checks import FloatArray, single_threaded_algebra
 from ..quadratic import plant_system
 from .bound import PROVED, LowerBound
 
@@ -114,6 +114,7 @@ def bound(task: Task, speed: float, bandwidth: float, *, report: Callable[[int, 
     return LowerBound(cost=max(found.cost, 0.0), method="matrix_inequality", assumption=ASSUMPTION, rigour=PROVED)
 
 
+@single_threaded_algebra()
 def certificate(task: Task, speed: float, bandwidth: float) -> MatrixCertificate:
     """The bound of `bound` with all that proves it."""
     from scipy.optimize import minimize_scalar

@@ -40,7 +40,7 @@ from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError, shown, whole
 from roadgym.task import Task
 
-from ..checks import FloatArray
+from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.grid import variable_of
 from ..optimum import optimal_damping
 from ..quadratic import has_quadratic_value, plant_system
@@ -149,6 +149,7 @@ def _told(report: Callable[[int, int], None], turn: int, turns: int, done: int, 
     report(turn * total + done, turns * total)
 
 
+@single_threaded_algebra()
 def certificate(
     task: Task,
     speed: float,
