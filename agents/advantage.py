@@ -24,10 +24,11 @@ def operating_point(task: Task) -> tuple[str, ...]:
 def is_differentiable(task: Task, estimator: str | None = None) -> bool:
     """Can a policy be differentiated through the plant?
 
-    That is where cars are alike, the command is in force at once, and what is seen is what there is; or an ``estimator`` makes
-    one filter a car of sensors that tell at once and have no biases, where the operating point is known.
+    That is where cars are alike, the rate of the valve is not limited, and what is seen is what there is; or, behind an ideal
+    valve, an ``estimator`` makes one filter a car of sensors that tell at once and have no biases, where the operating point is
+    known.
     """
-    if not task.ideal_valve or task.vary is not None:
+    if task.vary is not None or (task.valve.rate is not None if estimator is None else not task.ideal_valve):
         return False
     if estimator is None:
         return not task.real_sensors

@@ -4,8 +4,8 @@ An agent's folder holds ``agent.json`` (what was trained, on what, with what and
 Each checkpoint writes a new model file first and then replaces ``agent.json`` in one step, so the folder holds a sound agent at
 every moment, and an interrupted training resumes from the last one. While a training runs it holds a lock in the folder.
 
-A model file is read with pickle: load only agents that you trust. This module loads torch and stable-baselines3 with the first
-agent, not before.
+A model file is read with pickle: load only agents that you trust. Those of `agents.pretrained`, which come with the package,
+are plain arrays. This module loads torch and stable-baselines3 with the first agent, not before.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from roadgym.parameters import ParameterError
 from roadgym.task import Task, make_task
 from roadgym.vector import QuarterCarVectorEnv
 
-from .actions import damping_from_action
+from . import pretrained
+from .actions import action_space, damping_from_action
 from .errors import AgentError
 from .estimation import updated
 from .features import Sight
@@ -102,9 +103,7 @@ class Agent:
         self.description = description
         self.task = task
         hyperparameters = description["hyperparameters"]
-        self.filter = None if hyperparameters.get("estimator") is None else KalmanFilter(task)
-        self.seen = task if self.filter is None else self.filter.full
-        self.sight = Sight(self.seen, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
+        self.filter, self.seen, self.sight = _sight(task, hyperparameters)
         self.damping_levels = hyperparameters.get("damping_levels")
         self.layers: list[ActionLayer] = []
         if hyperparameters.get("wrappers"):
@@ -141,21 +140,36 @@ class Agent:
         return damping.reshape((*observation.shape[:-1], 1)), remembered
 
 
+def _sight(task: Task, hyperparameters: Mapping[str, Any]) -> tuple[KalmanFilter | None, Task, Sight]:
+    """(the filter between sensors and policy or None, the task as it is seen behind it, what the policy sees of that)."""
+    known = None if hyperparameters.get("estimator") is None else KalmanFilter(task)
+    seen = task if known is None else known.full
+    return known, seen, Sight(seen, hyperparameters.get("features"), hyperparameters.get("frame_stack", 1))
+
+
 def load(folder: str | Path) -> Agent:
-    """The agent in ``folder``.
+    """The agent in ``folder``, or, where there is no such folder, the one that comes with the package for a task of the suite.
+
+    Args:
+        folder: the folder, or the name of the task, such as "Paper-v0".
 
     Raises:
         AgentError: the folder holds no agent, or a damaged one.
         InstallationError: a package that it needs is not installed.
     """
     path = Path(folder)
-    description = read_description(path)
+    shipped = None if path.exists() else pretrained.find(str(folder))
+    description, weights = (read_description(path), None) if shipped is None else pretrained.read(shipped)
     with needs("train"):
         import torch
     torch.set_num_threads(1)  # as in training
     try:
         task = task_of(description)
-        model = algorithm_class(description["algorithm"]).load(path / description["model"], device="cpu")
+        kind = algorithm_class(description["algorithm"])
+        if weights is None:
+            model = kind.load(path / description["model"], device="cpu")
+        else:
+            model = _model(kind, description["hyperparameters"], task, weights)
         agent = Agent(model, description, task)
         seen, offered = model.observation_space.shape, agent.sight.space.shape
         if seen != offered:
@@ -168,6 +182,29 @@ def load(folder: str | Path) -> Agent:
         reason = " ".join(str(error).split()) + (remedy if missing else "")
         raise AgentError(f"cannot load the agent in {str(path)!r}: {reason}") from None
     return agent
+
+
+def _model(kind: Any, hyperparameters: Mapping[str, Any], task: Task, weights: pretrained.Weights) -> BaseAlgorithm:
+    """A model of these weights, which drives; it has no environment."""
+    import torch
+
+    network = dict(hyperparameters.get("policy_kwargs", {}))
+    if "activation_fn" in network:
+        network["activation_fn"] = getattr(torch.nn, network["activation_fn"])
+    model: BaseAlgorithm = kind(
+        hyperparameters.get("policy", "MlpPolicy"), None, policy_kwargs=network, device="cpu", _init_setup_model=False
+    )
+    model.observation_space = _sight(task, hyperparameters)[2].space
+    model.action_space = action_space(hyperparameters.get("damping_levels"))
+    model.n_envs = 1
+    model._setup_model()
+    model.policy.load_state_dict({name: torch.as_tensor(array) for name, array in weights.items()})
+    return model
+
+
+def weights_of(agent: Agent) -> dict[str, npt.NDArray[Any]]:
+    """The weights of an agent's policy by name, for `agents.pretrained.write`."""
+    return {name: tensor.detach().cpu().numpy() for name, tensor in agent.model.policy.state_dict().items()}
 
 
 def task_of(description: Mapping[str, Any]) -> Task:

@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 
 from roadgym.installation import needs
-from roadgym.parameters import ParameterError, non_negative, positive, shown, whole
+from roadgym.parameters import ParameterError, non_negative, positive, shown, whole, within
 
 from .differentiable import DrivenRoads
 
@@ -91,6 +91,8 @@ class APG(OnPolicyAlgorithm):
         gradient_steps: stretches after each visit, one for each step of the optimiser; each is of all cars.
         noise: standard deviation of normal noise on what the policy answers, before it is squashed, in training: so it learns
             too where it would be at an end of the range.
+        state_known: share of the training, its beginning, in which the policy sees the state itself along its stretches where
+            it drives by what an estimator makes of sensors: so much is learned sooner, and certainty equivalence by and large.
         max_grad_norm: at most the norm of a gradient.
         policy_kwargs, stats_window_size, tensorboard_log, verbose, seed, device: as of stable-baselines3's algorithms.
 
@@ -110,6 +112,7 @@ class APG(OnPolicyAlgorithm):
         horizon: int = 32,
         gradient_steps: int = 8,
         noise: float = 0.1,
+        state_known: float = 0.5,
         max_grad_norm: float = 1.0,
         policy_kwargs: dict[str, Any] | None = None,
         stats_window_size: int = 100,
@@ -122,6 +125,7 @@ class APG(OnPolicyAlgorithm):
         self.horizon = whole("horizon", horizon)
         self.gradient_steps = whole("gradient_steps", gradient_steps)
         self.noise = non_negative("noise", noise)
+        self.state_known = within("state_known", state_known, "mixing")
         if whole("n_steps", n_steps) < horizon:
             raise ParameterError(f"horizon must be at most n_steps, {n_steps}, got {shown(horizon)}")
         super().__init__(
@@ -199,10 +203,11 @@ class APG(OnPolicyAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         roads: Any = self.rollout_buffer
         starts, length = roads.windows(self.horizon)
+        known = 1 - self._current_progress_remaining <= self.state_known
         costs, norms = [], []
         for _ in range(self.gradient_steps):
             start = int(starts[int(torch.randint(len(starts), ()))])
-            cost = roads.cost(self.policy.network, start, length, self.noise)
+            cost = roads.cost(self.policy.network, start, length, self.noise, known)
             self.policy.optimizer.zero_grad()
             cost.backward()
             norms.append(float(torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)))

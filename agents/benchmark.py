@@ -102,8 +102,8 @@ def vector_step() -> Result:
         "step of 4096 environments, CartPole's batch over ours",
         lambda: seconds(step),
         lambda: seconds(lambda: peer.step(actions)),
-        ">= 2",
-        lambda ratio: ratio >= 2,
+        ">= 3",
+        lambda ratio: ratio >= 3,
         peer_over_ours=True,
     )
 
@@ -118,8 +118,8 @@ def substep() -> Result:
         "substep of one car (road, car, noise, squares) over one standard_normal",
         lambda: (seconds(long) - seconds(short)) / (many - few) / 4096,
         lambda: seconds(lambda: generator.standard_normal(out=buffer)) / 4096,
-        "<= 0.3",
-        lambda ratio: ratio <= 0.3,
+        "<= 0.25",
+        lambda ratio: ratio <= 0.25,
     )
 
 
@@ -156,8 +156,8 @@ def single_step() -> Result:
         "step of a single environment over CartPole's",
         lambda: seconds(ours),
         lambda: seconds(peer),
-        "<= 1",
-        lambda ratio: ratio <= 1,
+        "<= 0.9",
+        lambda ratio: ratio <= 0.9,
     )
 
 
@@ -271,8 +271,8 @@ def process_start() -> Result:
         "from process start to the first step over CartPole's",
         lambda: run("roadgym:" + ENVIRONMENT_ID),
         lambda: run("CartPole-v1"),
-        "<= 6",
-        lambda ratio: ratio <= 6,
+        "<= 3",
+        lambda ratio: ratio <= 3,
         repeats=5,
     )
 

@@ -21,6 +21,7 @@ from roadgym.task import OPERATING_POINT, SATURATION, Task
 
 from .advantage import ROAD_STATES, is_differentiable
 from .differentiable_filter import DrivenFilter, Filtering, Following, powers, single
+from .differentiable_valve import DrivenValve
 from .features import Features, Sight
 
 with needs("train"):
@@ -43,24 +44,30 @@ class DrivenRoads:
         estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
 
     Raises:
-        ParameterError: a stack of observations, a valve, cars that vary, or sensors without one plain filter of them.
+        ParameterError: a stack of observations, a valve of limited rate, cars that vary, or sensors without one plain filter of
+            them; or such a filter behind a valve.
     """
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int, estimator: Filtering | None = None) -> None:
         if not is_differentiable(task, None if estimator is None else "kalman"):
-            but = "" if estimator is None else " but for noise, speed and bandwidth known"
-            needed = f"sensors and valve must be ideal{but}, and cars alike,"
+            needed = "sensors must be ideal, the rate of the valve unlimited, and cars alike,"
+            if estimator is not None:
+                needed = "sensors and valve must be ideal but for noise, speed and bandwidth known, and cars alike,"
             raise ParameterError(f"{needed} for a gradient through the plant: choose another algorithm")
         if sight.frame_stack > 1:
             raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
         interval = Interval.of(task)
         self._task, self._steps, self._duration, self._smooth = task, steps, interval.duration, interval.smooth
         self._terms, self._inputs, self._cars = interval.motion.shape
-        both = [np.moveaxis(part, 1, 0).reshape(self._inputs, -1) for part in (interval.motion, interval.cost)]
-        self._polynomials = single(np.concatenate(both, axis=1))
-        self._relative, self._signals = (single(rows) for rows in observed_rows(task))
+        motion, self._squares = (
+            single(np.moveaxis(part, 1, 0).reshape(self._inputs, -1)) for part in (interval.motion, interval.cost)
+        )
+        self._motion, self._forcing = torch.split(motion, [self._cars, self._inputs - self._cars])
+        full = task if estimator is None else estimator.filter.full
+        self._sensing, self._measuring = Sensing(full), Sensing(task)
         self._filter = None if estimator is None else DrivenFilter(estimator, num_envs, steps)
-        self._names = task.signals if estimator is None else estimator.filter.full.signals
+        self._valve = None if task.ideal_valve else DrivenValve(task, num_envs, steps)
+        self._names = full.signals
         self._features = sight.features
         self._combined = None if sight.features is None else Seen(sight.features, len(self._names))
         self._states = np.empty((steps + 1, num_envs, self._cars + 5))
@@ -85,7 +92,9 @@ class DrivenRoads:
         self, step: int, seen: npt.NDArray[np.float32], action: npt.NDArray[np.float32], ended: npt.NDArray[np.bool_]
     ) -> None:
         """Record what was seen before a step, what was answered, shape (num_envs, 1), and whose episode ended with it."""
-        self._seen[step], self._places[step], self._ended[step] = seen, action[:, 0], ended
+        commands = torch.from_numpy(action[:, 0])
+        place = commands if self._valve is None else self._valve.note(step, commands, ended)
+        self._seen[step], self._places[step], self._ended[step] = seen, place, ended
 
     def finish(self) -> None:
         """Work out what the road did, after the last note."""
@@ -95,12 +104,14 @@ class DrivenRoads:
         ends = self._path if self._smooth else self._path[..., :1]
         self._ends = torch.cat([ends[:-1], ends[1:]], -1)
         place = torch.from_numpy(self._places).flatten()
-        moved, _ = self._interval(self._car[:-1].flatten(0, 1), self._ends.flatten(0, 1), place)
+        forced = self._ends @ self._forcing
+        moved = self._moved(self._car[:-1].flatten(0, 1), forced.flatten(0, 1), place)
         self._left = self._car[1:] - moved.view_as(self._car[1:])
+        forced[..., : self._cars] += self._left
+        self._forced, self._given = forced, self._sensing.of_road(self._path, self._road)
         if self._filter is not None:
-            found = self._observed(
-                self._car[1:].flatten(0, 1), place, self._path[1:].flatten(0, 1), self._road[1:].flatten(0, 1)
-            )
+            self._told = self._measuring.of_road(self._path, self._road)
+            found = self._measuring(self._car[1:].flatten(0, 1), place, self._told[1:].flatten(0, 1))
             self._filter.finish(found[:, self._filter.columns].view(*self._places.shape, -1))
 
     def windows(self, longest: int) -> tuple[npt.NDArray[np.intp], int]:
@@ -112,7 +123,7 @@ class DrivenRoads:
         length = max(1, min(longest, int(reach.max())))
         return np.flatnonzero(reach >= length), length
 
-    def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float) -> Tensor:
+    def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float, state_known: bool = False) -> Tensor:
         """What a policy costs from ``start`` on: over ``length`` intervals, and for ever after by `values`.
 
         It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time.
@@ -123,45 +134,52 @@ class DrivenRoads:
             start: one of `windows`.
             length: number of intervals.
             noise: standard deviation of normal noise on the policy's answers.
+            state_known: where there is an estimator, does the policy see the state itself, from the second interval on?
         """
         ended = self._ended[start : start + length].any(axis=0)
         rows = torch.from_numpy(np.flatnonzero(~ended)) if ended.any() else slice(None)  # to pick all takes time
         self._look(self._states[start, :, self._cars + 2 : self._cars + 4])
         car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
-        follow = None if self._filter is None else self._filter.begin(start, rows)
-        place = total = torch.zeros(len(car))
-        for step in range(start, start + length):
-            answer = policy(seen if step == start else self._sees(car, place, step, rows, follow))[:, 0]
-            place = torch.tanh(answer + noise * torch.randn(len(car)))
-            moved, cost = self._interval(car, self._ends[step, rows], place)
-            car, total = moved + self._left[step, rows], total + cost
+        follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
+        valve = None if self._valve is None else self._valve.begin(start, rows)
+        place = held = torch.zeros(len(car))
+        noises, cars, places = noise * torch.randn(length, len(car)), [], []
+        for n, step in enumerate(range(start, start + length)):
+            answer = policy(seen if step == start else self._sees(car, held, step, rows, follow))[:, 0]
+            place = held = torch.tanh(answer + noises[n])
+            if self._valve is not None and valve is not None:
+                place, valve = self._valve(valve, place)
+                held = valve[:, 0]
+            cars.append(car)
+            places.append(place)
+            car = self._moved(car, self._forced[step, rows], place)
+        # of all intervals at once
+        costs = self._cost(torch.cat(cars), self._ends[start : start + length, rows].flatten(0, 1), torch.cat(places))
+        total = costs.view(length, -1).sum(0)
         value = self._value[rows]
         state = torch.cat([car, self._road[start + length, rows]], 1)[:, : value.shape[1]]
         after = (state * (value @ state[:, :, None])[:, :, 0]).sum(1)
         return ((total * self._duration + after) / self._reference[rows]).mean() / (length * self._duration)
 
-    def _interval(self, car: Tensor, ends: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-        """(states of the car at the end, mean cost) of an interval, by its polynomials in the place of D."""
+    def _moved(self, car: Tensor, forced: Tensor, place: Tensor) -> Tensor:
+        """States of the car at the end of an interval, by a polynomial in the place of D; ``forced`` is what the road adds."""
+        coefficients = torch.addmm(forced, car, self._motion).view(-1, self._terms, self._cars)
+        return (powers(place, self._terms)[:, None] @ coefficients)[:, 0]
+
+    def _cost(self, car: Tensor, ends: Tensor, place: Tensor) -> Tensor:
+        """Mean cost of an interval."""
         given = torch.cat([car, ends], 1)
-        motion, cost = torch.tensor_split(given @ self._polynomials, (self._terms * self._cars,), 1)
-        squares = cost.view(-1, self._terms, self._inputs) @ given[:, :, None]
-        weights = powers(place, self._terms)[:, None]
-        return (weights @ motion.view(-1, self._terms, self._cars))[:, 0], (weights @ squares)[:, 0, 0]
+        squares = (given @ self._squares).view(-1, self._terms, self._inputs) @ given[:, :, None]
+        return (powers(place, self._terms) * squares[:, :, 0]).sum(1)
 
     def _sees(self, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None) -> Tensor:
-        """What the policy sees before a step, after an interval at a damping in ``place``."""
-        told = self._observed(car, place, self._path[step, rows], self._road[step, rows])
-        if self._filter is not None and follow is not None:
-            told = follow(step, place, told[:, self._filter.columns])
+        """What the policy sees before a step, after an interval with a damping in ``place`` at its end."""
+        if self._filter is None or follow is None:
+            told = self._sensing(car, place, self._given[step, rows])
+        else:
+            told = follow(step, place, self._measuring(car, place, self._told[step, rows])[:, self._filter.columns])
         observed = told + self._shares[rows]
         return observed if self._combined is None else self._combined(observed, self._forms[rows])
-
-    def _observed(self, car: Tensor, place: Tensor, path: Tensor, road: Tensor) -> Tensor:
-        """What ideal sensors tell after an interval at a damping in ``place``, shape (n, signals), the operating point 0."""
-        moving = torch.cat([car, path], 1)
-        low, high = self._task.damping_range
-        force = (2 * low + (high - low) * (place + 1)) * (moving @ self._relative)
-        return (torch.cat([moving, force[:, None], road[:, 1:]], 1) @ self._signals).clamp(-SATURATION, SATURATION)
 
     def _look(self, points: npt.NDArray[np.float64]) -> None:
         """Prepare for operating points (nu, delta) of all cars, shape (n, 2)."""
@@ -177,41 +195,79 @@ class DrivenRoads:
         lookahead = None if self._features is None else self._features.lookahead
         forms = np.empty((len(points), 0)) if lookahead is None else lookahead.forms(observed[:, lookahead.point])
         self._shares, self._forms = single(observed), single(forms)
+        if self._combined is not None:
+            self._forms = self._combined.of_pairs(self._forms)
+
+
+class Sensing:
+    """Ideal sensors in torch, the operating point 0.
+
+    Args:
+        task: what they tell.
+    """
+
+    def __init__(self, task: Task) -> None:
+        relative, rows = observed_rows(task)
+        states = len(relative) - 2
+        of_force = states + 2
+        both = np.column_stack([np.delete(rows, of_force, axis=0), [*relative, 0]])
+        self._of_car, self._of_road = single(both[:states]), single(both[states:])
+        self._of_force = single(rows[of_force])
+        self._felt, (self._low, self._high) = bool(rows[of_force].any()), task.damping_range
+
+    def of_road(self, path: Tensor, road: Tensor) -> Tensor:
+        """What of it the road makes: from the level and its rate, and the road's states, each of shape (..., 2)."""
+        return torch.cat([path, road[..., 1:]], -1) @ self._of_road
+
+    def __call__(self, car: Tensor, place: Tensor, given: Tensor) -> Tensor:
+        """What they tell after an interval at a damping in ``place``, shape (n, signals); ``given`` is the road's part."""
+        both = torch.addmm(given, car, self._of_car)
+        told, relative = both[:, :-1], both[:, -1]
+        if self._felt:  # the force of the damper, in some signal
+            force = (self._low + self._high + (self._high - self._low) * place) * relative
+            told = torch.addcmul(told, force[:, None], self._of_force)
+        return told.clamp(-SATURATION, SATURATION)
 
 
 class Seen:
     """`agents.features.Features` in torch, of observations, shape (n, signals).
 
-    Columns are picked by products with matrices of zeros and ones, whose gradients are quicker than those of indices.
+    Columns are picked by a product with a matrix, whose gradient is quicker than those of indices.
     """
 
     def __init__(self, features: Features, signals: int) -> None:
-        def picking(columns: npt.ArrayLike) -> Tensor:
-            return single(np.eye(signals)[:, np.asarray(columns, np.intp)])
+        self._features, state = features, np.array(features.state, np.intp)
+        self._paired = features.products or features.lookahead is not None
+        pairs = list(zip(features.first.tolist(), features.second.tolist(), strict=True)) if self._paired else []
+        shown = [*features.point, *(features.state if features.signals else ())]
+        columns = [*shown, *(state[i] for i, _ in pairs), *(state[j] for _, j in pairs)]
+        self._sizes = [len(shown), len(pairs), len(pairs)]
+        sizes, shift = np.ones(len(columns)), np.zeros(len(columns))
+        sizes[: len(features.point)], shift[: len(features.point)] = 4, -2
+        self._picked, self._shift = single(np.eye(signals)[:, columns] * sizes), single(shift)
+        self._same = single(np.array([[float(i == j)] for i, j in pairs]))
+        if features.lookahead is not None:
+            places = np.searchsorted(state, features.lookahead.columns)
+            of = [places[part].tolist() for part in (features.lookahead.first, features.lookahead.second)]
+            monomials = [pairs.index((min(pair), max(pair))) for pair in zip(*of, strict=True)]
+            self._monomials = single(np.eye(len(pairs))[monomials])
 
-        state, self._features = np.array(features.state, np.intp), features
-        self._state, self._point = picking(state), picking(features.point)
-        self._pairs = picking(state[features.first]), picking(state[features.second])
-        lookahead = features.lookahead
-        if lookahead is not None:
-            columns = np.array(lookahead.columns)
-            self._squares = picking(columns[lookahead.first]), picking(columns[lookahead.second])
+    def of_pairs(self, forms: Tensor) -> Tensor:
+        """Forms of the lookahead as those of the products here, the constants last; shape (n, 2, products + 1)."""
+        return (
+            forms if self._features.lookahead is None else torch.cat([forms[:, :, :-1] @ self._monomials, forms[:, :, -1:]], 2)
+        )
 
     def __call__(self, observed: Tensor, forms: Tensor) -> Tensor:
-        """What the policy sees, with the forms of the lookahead there."""
-        state = observed @ self._state
-        scale = torch.rsqrt(1 + (state * state).sum(1, keepdim=True))
-        parts = [(observed @ self._point - 0.5) * 4]
-        if self._features.signals:
-            parts.append(state)
-        if self._features.products:
-            first, second = self._pairs
-            parts.append((observed @ first) * (observed @ second) * scale)
+        """What the policy sees, with the forms of `of_pairs` there."""
+        shown, first, second = torch.split(torch.addmm(self._shift, observed, self._picked), self._sizes, 1)
+        if not self._paired:
+            return shown
+        pairs = first * second
+        grown = [pairs] if self._features.products else []
         if self._features.lookahead is not None:
-            first, second = self._squares
-            squares = (observed @ first) * (observed @ second)
-            parts.append(((forms[:, :, :-1] @ squares[:, :, None])[:, :, 0] + forms[:, :, -1]) * scale)
-        return torch.cat(parts, 1)
+            grown.append(torch.baddbmm(forms[:, :, -1:], forms[:, :, :-1], pairs[:, :, None])[:, :, 0])
+        return torch.cat([shown, torch.cat(grown, 1) * torch.rsqrt(1 + pairs @ self._same)], 1)
 
 
 def observed_rows(task: Task) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -7,7 +7,6 @@ damping does to the car, and what it does to what is known of the car.
 
 from __future__ import annotations
 
-import itertools
 from typing import Protocol
 
 import numpy as np
@@ -100,7 +99,8 @@ class Following:
 
     def __init__(self, driven: DrivenFilter, belief: Belief, rows: Tensor | slice) -> None:
         self._driven, self._cars = driven, rows
-        self._mean, self._covariance = single(belief.mean)[rows], single(belief.covariance)[rows]
+        # the mean, and beside it the covariance
+        self._known = single(np.concatenate([belief.mean[:, :, None], belief.covariance], axis=2))[rows]
         self._series, self._rows, self._told = (part[rows] for part in (driven._series, driven._rows, driven._told))
 
     def __call__(self, step: int, place: Tensor, true: Tensor) -> Tensor:
@@ -111,26 +111,27 @@ class Following:
             place: of D in its range, -1 to 1, in the interval before; shape (n,).
             true: what ideal sensors would tell, shape (n, measured).
         """
-        driven, size = self._driven, self._mean.shape[1]
+        driven, size = self._driven, self._known.shape[1]
         transition, noise = (powers(place, self._series.shape[1])[:, None] @ self._series).view(-1, 2, size, size).unbind(1)
-        mean = (transition @ self._mean[:, :, None])[:, :, 0]
-        covariance = transition @ self._covariance @ transition.mT + noise
+        moved = transition @ self._known
+        known = torch.cat([moved[:, :, :1], torch.baddbmm(noise, moved[:, :, 1:], transition.mT)], 2)
         damping = (driven._low + driven._width * (place + 1) / 2)[:, None, None]
         rows = self._rows[:, 0] + damping * self._rows[:, 1]
         measured = true + driven._errors[step - 1, self._cars]
         for j, variance in enumerate(driven._noise):
-            row = rows[:, j]
-            gain = (covariance @ row[:, :, None])[:, :, 0]
-            spread = variance + (gain * row).sum(1, keepdim=True)
-            mean = mean + gain * ((measured[:, j] - (row * mean).sum(1))[:, None] / spread)
-            covariance = covariance - gain[:, :, None] * (gain / spread)[:, None]
-        self._mean, self._covariance = mean, covariance
-        return (mean[:, None] @ self._told)[:, 0].clamp(-SATURATION, SATURATION)
+            row = rows[:, j, None]
+            foretold = row @ known  # the measurement, and its covariances with the states
+            gain = foretold[:, :, 1:]
+            spread = variance + gain @ row.mT
+            wrong = torch.cat([foretold[:, :, :1] - measured[:, j, None, None], gain], 2)
+            known = torch.baddbmm(known, gain.mT, wrong / spread, alpha=-1)
+        self._known = known
+        return (known[:, None, :, 0] @ self._told)[:, 0].clamp(-SATURATION, SATURATION)
 
 
 def powers(place: Tensor, count: int) -> Tensor:
     """Powers from 0 on of places, shape (n, count)."""
-    return torch.stack([torch.ones_like(place), *itertools.accumulate([place] * (count - 1), torch.mul)], 1)
+    return place[:, None] ** torch.arange(count)
 
 
 def single(array: npt.NDArray[np.floating]) -> Tensor:

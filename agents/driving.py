@@ -18,6 +18,7 @@ from roadgym.installation import needs
 from roadgym.parameters import ParameterError, positive, whole
 from roadgym.task import Task, make_task
 
+from . import pretrained
 from .agent import Agent, load
 from .controllers import CONTROLLERS, make_controller
 from .errors import AgentError
@@ -53,7 +54,7 @@ def check_output(output: str | Path) -> Path:
 
 
 def find_rival(name: str) -> Agent | None:
-    """The agent in the folder ``name``, or None where it is a controller's name.
+    """The agent in the folder ``name``, or that of this name that is shipped, or None where it is a controller's name.
 
     Raises:
         ParameterError: it is neither.
@@ -61,7 +62,7 @@ def find_rival(name: str) -> Agent | None:
     """
     if name in CONTROLLERS:
         return None
-    if not Path(name).is_dir():
+    if not Path(name).is_dir() and pretrained.find(name) is None:
         raise ParameterError(f"versus must be the folder of an agent or one of {', '.join(CONTROLLERS)}, got {name!r}")
     return load(name)
 

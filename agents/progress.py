@@ -117,7 +117,7 @@ def jobs_progress() -> Iterator[Callable[[int, int, int], None]]:
             last = done, failed, total
             if (over := done + failed) < total:  # more may follow: that all are over is told at the end
                 left = (time.monotonic() - begin) / over * (total - over)
-                tell("jobs", over, total, f"{failed} failed, about {left:.0f} s left")
+                tell("jobs", over, total, f"{f'{failed} failed, ' if failed else ''}about {left:.0f} s left")
 
         yield report
         done, failed, total = last

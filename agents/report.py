@@ -59,6 +59,8 @@ def notes(comparison: Comparison) -> list[tuple[str, str]]:
                 f"{100 * LEAST_ROOM:g} %. The mean counts all other points alike, with negative shares too.",
             )
         )
+        if any(row.worst_seed is not None for row in comparison.rows):
+            found.append(("worst seed", "the gap that the training seed closes that closes least there, likewise."))
     else:
         found.append(("gain", f"share of the best constant D's cost that is saved, with its {100 * CONFIDENCE:g} % interval."))
     found += bound_notes(comparison)
@@ -125,6 +127,8 @@ def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, list[str]]
             closed = any(comparison.references)
             share = [percent(row.gap_closed if closed else row.gain) for row in rows]
             under.append(("gap closed" if closed else "gain", share))
+            if any(row.worst_seed is not None for row in rows):
+                under.append(("worst seed", [percent(row.worst_seed) for row in rows]))
         if name in comparison.mean_certified and comparison.bounded:
             under.append(("certified", [percent(row.certified) for row in rows]))
         found.append((title(name), under))
@@ -180,6 +184,10 @@ def mean_gap_closed(comparison: Comparison, name: str) -> str:
         kinds = {name for name in comparison.references if name is not None}
         best = "optimal feedback" if kinds == {"optimal_feedback"} else "best known feedback"
         text = f"{name} {closes} from the best constant D to the {best}, {over}."
+    if gap.worst_seed is not None and gap.least is not None and gap.least_at is not None:
+        text += f" The worst of its training seeds closes {percent(gap.worst_seed)}"
+        where = place(comparison.task, gap.least_at)
+        text += "." if total == 1 else f" on average, and none less than {percent(gap.least)} anywhere ({where})."
     if gap.loss is not None and gap.largest_loss is not None and gap.largest_at is not None:
         worst = place(comparison.task, gap.largest_at)
         where = "Its" if total == 1 else f"Where there is none ({left} of {total} points), its"
@@ -265,6 +273,8 @@ def _tables(comparison: Comparison) -> list[dict[str, Any]]:
         costs["theory"] = [_theory(row) for row in rows]
     if closed:
         costs["gap closed"] = [percent(row.gap_closed) for row in rows]
+        if any(row.worst_seed is not None for row in rows):
+            costs["worst seed"] = ["" if row.worst_seed is None else percent(row.worst_seed) for row in rows]
     else:
         costs["gain"] = [percent(row.gain) for row in rows]
     if comparison.bounded:

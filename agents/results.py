@@ -52,6 +52,7 @@ class Row:
         gain: share of the cost of the best constant damping that is saved.
         gap_closed: share of the way from the best constant damping to the best known feedback; None where that feedback saves
             less than `LEAST_ROOM`.
+        worst_seed: the same of the training seed that closes least there; None of one seed alone.
         bound: what every controller costs at least there; None where no lower bound is known, or none was asked for.
         certified: share of the way from the best constant damping to the lower bound; None where there is none, or where it
             leaves less than `LEAST_ROOM`.
@@ -69,6 +70,7 @@ class Row:
     damping: float | None
     gain: Share
     gap_closed: Share | None
+    worst_seed: Share | None
     bound: LowerBound | None
     certified: Share | None
     switches: float
@@ -85,6 +87,8 @@ class MeanGap:
         left_out: the points without a gap, where the best known feedback saves less than `LEAST_ROOM`.
         loss: at those, the mean share of the best constant damping's cost that the controller costs more; None without any.
         largest_loss, largest_at: the largest one and its point, likewise.
+        worst_seed: mean share that the training seed closes that closes least; None of one seed alone, and where `closed` is.
+        least, least_at: the smallest share that any training seed closes at any point, and that point.
     """
 
     closed: Share | None
@@ -93,6 +97,9 @@ class MeanGap:
     loss: Share | None
     largest_loss: Share | None
     largest_at: OperatingPoint | None
+    worst_seed: Share | None
+    least: Share | None
+    least_at: OperatingPoint | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,7 +200,7 @@ def flat(row: Row) -> dict[str, Any]:
         content[name] = getattr(row, name)
     content["lower_bound"] = None if row.bound is None else row.bound.cost
     content["lower_bound_standard_error"] = None if row.bound is None else row.bound.standard_error
-    for name in ("gain", "gap_closed", "certified"):
+    for name in ("gain", "gap_closed", "worst_seed", "certified"):
         share = getattr(row, name)
         for part, label in (("value", name), ("low", f"{name}_low"), ("high", f"{name}_high")):
             content[label] = None if share is None else getattr(share, part)
@@ -251,6 +258,18 @@ def ratio(
     return Share(value, value - half, value + half)
 
 
+def of_each_seed(
+    numerators: npt.NDArray[np.float64], denominators: npt.NDArray[np.float64], degrees_of_freedom: int
+) -> list[Share]:
+    """`ratio` of each training seed alone."""
+    return [ratio(numerators[:, [k]], denominators, degrees_of_freedom) for k in range(numerators.shape[1])]
+
+
+def worst_of(seeds: Sequence[Share]) -> Share | None:
+    """The smallest share of several training seeds; None of one alone."""
+    return min(seeds, key=lambda share: share.value) if len(seeds) > 1 else None
+
+
 def best_feedbacks(evaluations: Mapping[str, Evaluation]) -> tuple[str | None, ...]:
     """The best known feedback at each operating point: the optimal one where it was driven, else the best classical one."""
     names = [name for name in evaluations if name not in CONSTANT]
@@ -279,13 +298,19 @@ def mean_gap(seeds: Sequence[Evaluation], evaluations: Mapping[str, Evaluation],
     saved = best[:, None] - np.stack([evaluation.adjusted_costs for evaluation in seeds], axis=1)
     losses = [ratio(-saved[[k]], best[[k]], freedom) for k in without]
     worst = max(range(len(losses)), key=lambda k: losses[k].value, default=None)
+    room = np.array([rooms[k] for k in within])
+    shares = [(share, points[k]) for n, k in enumerate(within) for share in of_each_seed(saved[[k]], room[[n]], freedom)]
+    least, least_at = min(shares, key=lambda share: share[0].value, default=(None, None))
     return MeanGap(
-        closed=ratio(saved[within], np.array([rooms[k] for k in within]), freedom) if within else None,
+        closed=ratio(saved[within], room, freedom) if within else None,
         points=tuple(points[k] for k in within),
         left_out=tuple(points[k] for k in without),
         loss=ratio(-saved[without], best[without], freedom) if without else None,
         largest_loss=None if worst is None else losses[worst],
         largest_at=None if worst is None else points[without[worst]],
+        worst_seed=worst_of(of_each_seed(saved[within], room, freedom)) if within else None,
+        least=least,
+        least_at=least_at,
     )
 
 
@@ -377,6 +402,7 @@ def make_rows(
                     damping=damping,
                     gain=ratio(saved, best[k][None], freedom),
                     gap_closed=None if gap is None else ratio(saved, gap[None], freedom),
+                    worst_seed=None if gap is None else worst_of(of_each_seed(saved, gap[None], freedom)),
                     bound=None if isinstance(bound, str) else bound,
                     certified=None
                     if left is None or isinstance(bound, str)

@@ -1,4 +1,4 @@
-"""Search for hyperparameters with Optuna, in a study that is kept in a file and gone on with by the same call.
+"""Search for hyperparameters with Optuna, in a study that is kept and gone on with by the same call.
 
 What is least is the mean, over operating points, of the agent's cost over that of the best constant damping by theory, on roads
 that neither training nor any comparison meets. A trial is given up early where its cost so far is above the median of the
@@ -10,10 +10,10 @@ KDD 2019; the sampler is its tree-structured Parzen estimator.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,8 @@ from roadgym.task import Task, make_task
 from .agent import DEFAULT_ENVIRONMENT, Agent, algorithm_class, complete
 from .errors import AgentError
 from .evaluation import evaluate, make_points
-from .records import Purpose, differing, lasting, locked, make_folder, make_output, stream_seed, write_atomically
+from .records import Purpose, differing, lasting, make_output, stream_seed, write_atomically
+from .study import Place, held
 from .theory import optimum
 from .training import load_hyperparameters, make_model
 from .wrappers import with_wrappers
@@ -77,7 +78,7 @@ NETWORK = ("net_arch", "lstm_hidden_size")  # these go into policy_kwargs
 EVALUATIONS = 4  # of a trial, the last one at its end
 EPISODES = 32  # of an evaluation, at each operating point
 DURATION = 100.0  # of each episode, in units of 1/natural_frequency
-INTERRUPTED = "interrupted"
+ERROR = "error"  # attribute of a trial that failed for a reason of its own
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,14 +116,15 @@ def tune(
     """Run a study up to ``trials`` trials in all, and return the best.
 
     Args:
-        storage: SQLite file of the study; one that is there is gone on with. A trial that was interrupted is marked as failed
-            and listed in the study's attribute "interrupted"; it does not count. One process at a time may work on a study.
+        storage: SQLite file of the study, for one process at a time; or a folder, which is there or whose name ends in a
+            separator, for any number of processes on any number of machines, each of which calls this with the same
+            parameters. One that is there is gone on with. A trial that was interrupted is marked as failed, and does not count.
         algorithm: a key of `SEARCH_SPACES`.
         trials: number of trials in all, those of earlier calls included.
         timesteps: control intervals that each trial trains for; by default the hyperparameters' n_timesteps.
         environment: parameters of the environment; by default as for `agents.train`.
         hyperparameters: where the search does not choose; by default the algorithm's own.
-        seed: fixes the trials, also over interruptions; not negative.
+        seed: fixes the trials, also over interruptions; not negative. Of several processes each draws from what was finished.
         report: called as ``report(trial, timesteps done, in all, best value so far or None)``.
 
     Raises:
@@ -144,17 +146,25 @@ def tune(
     def report_of(number: int, best: float | None) -> Callable[[int], None]:
         return lambda done: report(number, done, total, best)
 
-    with _held(optuna, Path(storage)):
-        study = _open(optuna, Path(storage), asked)
+    with held(optuna, storage) as place:
+        study = _open(optuna, storage, place, asked)
         while (finished := _finished(study)) < trials:
-            # drawn from the number of trials that count, so that an interruption changes nothing
-            study.sampler = optuna.samplers.TPESampler(seed=stream_seed(seed, Purpose.SAMPLER, finished) % 2**32)
+            if finished + _running(study, place) >= trials:  # others are at the last ones
+                time.sleep(1.0)
+                continue
             trial = study.ask()
+            place.begin(trial)
+            # drawn from the number of trials before it that count, so that an interruption changes nothing
+            turn = trial.number - sum(_interrupted(t) for t in study.get_trials(deepcopy=False) if t.number < trial.number)
+            if turn >= trials:  # another process began the last one at the same time
+                _interrupt(study, trial.number)
+                continue
+            study.sampler = optuna.samplers.TPESampler(seed=stream_seed(seed, Purpose.SAMPLER, turn) % 2**32)
             chosen = draw(trial, algorithm, base)
             trial.set_user_attr("hyperparameters", chosen)
             completed = study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.COMPLETE,))
             best = min((t.values[0] for t in completed), default=None)
-            objective = _Objective(trial, algorithm, chosen, plant, task, seed, report_of(finished, best))
+            objective = _Objective(trial, algorithm, chosen, plant, task, seed, report_of(turn, best))
             try:
                 value = objective.run()
             except (KeyboardInterrupt, ParameterError):
@@ -163,25 +173,11 @@ def tune(
             except optuna.TrialPruned:
                 study.tell(trial, state=optuna.trial.TrialState.PRUNED)
             except (ArithmeticError, ValueError) as error:  # networks that diverge
-                trial.set_user_attr("error", " ".join(str(error).split()))
+                trial.set_user_attr(ERROR, " ".join(str(error).split()))
                 study.tell(trial, state=optuna.trial.TrialState.FAIL)
             else:
-                study.tell(trial, value)
+                study.tell(trial, value, skip_if_finished=True)
         return best_of(study)
-
-
-@contextlib.contextmanager
-def _held(package: Any, path: Path) -> Iterator[None]:
-    """Keep other processes from the study in ``path``; what its database raises, such as of a full disk, is an `AgentError`."""
-    if path.is_dir():
-        raise AgentError(f"cannot use {str(path)!r} as a study: it is a folder")
-    make_folder(path.parent)
-    with locked(path.with_name(f".{path.name}.lock"), "search"):
-        try:
-            yield
-        except package.exceptions.StorageInternalError as error:
-            reason = str(error.__cause__ or error).splitlines()[0]
-            raise AgentError(f"cannot use {str(path)!r} as a study: {reason}") from None
 
 
 def _optuna() -> Any:
@@ -190,40 +186,51 @@ def _optuna() -> Any:
     return optuna
 
 
-def _open(package: Any, path: Path, asked: dict[str, Any]) -> optuna.Study:
-    """The study in ``path``, with trials that a killed process left behind marked; it must be of what is ``asked``."""
+def _open(package: Any, storage: str | Path, place: Place, asked: dict[str, Any]) -> optuna.Study:
+    """The study, which must be of what is ``asked``."""
     try:
         study: optuna.Study = package.create_study(
-            storage=f"sqlite:///{path}",
+            storage=place.storage,
             study_name="roadgym",
             pruner=package.pruners.MedianPruner(n_startup_trials=5),
             load_if_exists=True,
         )
     except Exception as error:  # whatever the database raises
-        raise AgentError(f"cannot use {str(path)!r} as a study: {str(error).splitlines()[0]}") from None
+        raise AgentError(f"cannot use {str(storage)!r} as a study: {str(error).splitlines()[0]}") from None
     for name, value in asked.items():
         known = study.user_attrs.get(name, value)
         if name == "hyperparameters":
             known = complete(known)
         if known != value:
             told, got = differing(known, value, json.dumps)
-            raise ParameterError(f"{name} of the study in {str(path)!r} is {told}, got {got}: choose another file")
+            raise ParameterError(f"{name} of the study in {str(storage)!r} is {told}, got {got}: choose another place")
         study.set_user_attr(name, value)
-    for trial in study.get_trials(deepcopy=False, states=(package.trial.TrialState.RUNNING,)):
-        _interrupt(study, trial.number)
     return study
 
 
+def _interrupted(trial: optuna.trial.FrozenTrial) -> bool:
+    """Was the trial given up halfway, so that it does not count?"""
+    return trial.state.name == "FAIL" and ERROR not in trial.user_attrs
+
+
 def _interrupt(study: optuna.Study, trial: int) -> None:
-    """Mark a trial as interrupted and failed."""
-    study.set_user_attr(INTERRUPTED, [*study.user_attrs.get(INTERRUPTED, []), trial])
-    study.tell(trial, state=type(study.trials[trial].state).FAIL)
+    """Mark a trial as given up halfway."""
+    study.tell(trial, state=type(study.trials[trial].state).FAIL, skip_if_finished=True)
+
+
+def _running(study: optuna.Study, place: Place) -> int:
+    """Number of trials that other processes are at; those that killed ones left behind are marked."""
+    running = [trial for trial in study.get_trials(deepcopy=False) if not trial.state.is_finished()]
+    alive = [trial for trial in running if place.alive(trial)]
+    for trial in running:
+        if trial not in alive:
+            _interrupt(study, trial.number)
+    return len(alive)
 
 
 def _finished(study: optuna.Study) -> int:
-    """Number of trials that are over, those interrupted left out."""
-    interrupted = study.user_attrs.get(INTERRUPTED, [])
-    return sum(trial.state.is_finished() and trial.number not in interrupted for trial in study.get_trials(deepcopy=False))
+    """Number of trials that are over and count."""
+    return sum(trial.state.is_finished() and not _interrupted(trial) for trial in study.get_trials(deepcopy=False))
 
 
 def best_of(study: optuna.Study) -> Best:
@@ -235,7 +242,7 @@ def best_of(study: optuna.Study) -> Best:
     try:
         trial = study.best_trial
     except ValueError:
-        errors = [t.user_attrs["error"] for t in study.get_trials(deepcopy=False) if "error" in t.user_attrs]
+        errors = [t.user_attrs[ERROR] for t in study.get_trials(deepcopy=False) if ERROR in t.user_attrs]
         raise AgentError(f"no trial of the study was completed: {errors[-1] if errors else 'none ran'}") from None
     return Best(trial.number, float(trial.value or 0.0), trial.user_attrs["hyperparameters"], _finished(study))
 

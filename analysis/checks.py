@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
@@ -65,11 +64,6 @@ def check_size(what: str, shapes: str, size: float, of: str) -> None:
     """Raise unless there are at most as many of ``what`` as the range ``of`` allows; ``shapes`` says what made them."""
     if size > RANGES[of].high:
         raise ParameterError(f"{shapes} must make at most {RANGES[of].high:.0f} {what}, got {size:.0f}")
-
-
-def processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 @contextlib.contextmanager

@@ -3,12 +3,15 @@
     python examples/slow_valves.py
 
 takes a quarter of an hour on one core. Each line is a valve: a lag, a delay, or a number of levels, and nothing else. Rules
-with a parameter are tuned behind that valve, or with ``--unaware`` on the ideal one.
+with a parameter are tuned behind that valve, or with ``--unaware`` on the ideal one. With ``--agents`` an agent drives too that
+has learned with an ideal valve, and one that has learned behind that valve; both see the state, and not what the valve does.
+They are kept in a folder, from which the script goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import agents
@@ -37,6 +40,13 @@ def valves(lags: list[float], delays: list[float], levels: list[int]) -> dict[st
     return found | {f"{count} levels": Valve(levels=count) for count in levels}
 
 
+def learned(environment: dict[str, Any], folder: Path, timesteps: int | None) -> agents.Agent:
+    """An agent of the default algorithm, trained where the folder holds none."""
+    if not (folder / "agent.json").exists():
+        agents.train(folder, environment=environment, timesteps=timesteps, report=agents.training.silent)
+    return agents.load(folder)
+
+
 def main() -> None:
     """Tune, drive, print."""
     parser = argparse.ArgumentParser(description="What a slow valve costs rules of semi-active damping.")
@@ -45,7 +55,10 @@ def main() -> None:
     parser.add_argument("--lags", type=float, nargs="*", default=list(LAGS), metavar="MS", help="time constants, ms")
     parser.add_argument("--delays", type=float, nargs="*", default=list(DELAYS), metavar="MS", help="ms")
     parser.add_argument("--levels", type=int, nargs="*", default=list(LEVELS), metavar="N", help="numbers of levels")
-    parser.add_argument("--rules", nargs="+", default=list(RULES), help="(%(default)s)")
+    parser.add_argument("--rules", nargs="*", default=list(RULES), help="(%(default)s)")
+    parser.add_argument("--agents", action="store_true", help="train agents too")
+    parser.add_argument("--output", default="runs/slow_valves", help="folder of the agents (%(default)s)")
+    parser.add_argument("--timesteps", type=int, help="control intervals to train for (as of the algorithm)")
     parser.add_argument("--unaware", action="store_true", help="tune on the ideal valve")
     parser.add_argument("--episodes", type=int, default=256, help="(%(default)s)")
     parser.add_argument("--duration", type=float, default=10.0, help="measured time of an episode, s (%(default)s)")
@@ -55,10 +68,15 @@ def main() -> None:
     plant: dict[str, Any] = {"road": chosen.road, "speed": chosen.speed, "car": CAR, "reward": REWARD}
     best = float(optimum(make_task(**plant), chosen.speed, 0.0).cost)
     print(f"the best constant damping costs {best:.4g}; over it")
-    print(f"{'':>15}", *(f"{rule:>20}" for rule in chosen.rules))
+    columns = [*chosen.rules, *(("agent, unaware", "agent, aware") if chosen.agents else ())]
+    print(f"{'':>15}", *(f"{name:>20}" for name in columns))
     for said, valve in valves(chosen.lags, chosen.delays, chosen.levels).items():
         environment = {**plant, "valve": valve}
         rivals = make_rivals(make_task(**(plant if chosen.unaware else environment)), chosen.rules)
+        if chosen.agents:
+            folder = Path(chosen.output)
+            rivals["agent, unaware"] = learned(plant, folder / "ideal", chosen.timesteps)
+            rivals["agent, aware"] = learned(environment, folder / said.replace(" ", "-"), chosen.timesteps)
         results = agents.evaluate(
             rivals,
             environment=environment,
@@ -67,7 +85,7 @@ def main() -> None:
             duration=chosen.duration,
             seed=chosen.seed,
         )
-        cells = [f"{results[rule].mean[0] / best:.4f} ± {results[rule].standard_error[0] / best:.4f}" for rule in chosen.rules]
+        cells = [f"{results[name].mean[0] / best:.4f} ± {results[name].standard_error[0] / best:.4f}" for name in columns]
         print(f"{said:>15}", *(f"{cell:>20}" for cell in cells), flush=True)
 
 

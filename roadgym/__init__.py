@@ -1,6 +1,7 @@
 """A Gymnasium environment whose plant is a quarter car on a random road, after W. V. Wedig (ENOC 2020).
 
-Importing this package registers ``roadgym/QuarterCar-v0`` with Gymnasium, for `gymnasium.make` and `gymnasium.make_vec`.
+Importing this package registers ``roadgym/QuarterCar-v0`` with Gymnasium, for `gymnasium.make` and `gymnasium.make_vec`, and
+the tasks of the suite, `roadgym.suite`.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from .roads import (
 )
 from .sensors import Sensors
 from .speed import SPEED_NOISES, HighPassSpeedNoise, LowPassSpeedNoise, SpeedNoise, WhiteSpeedNoise
+from .suite import TASKS, SuiteTask
 from .valve import Valve
 
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     "MEAN_SQUARES",
     "ROADS",
     "SPEED_NOISES",
+    "TASKS",
     "Car",
     "FirstOrderRoad",
     "GaussianRoad",
@@ -54,6 +57,7 @@ __all__ = [
     "Road",
     "Sensors",
     "SpeedNoise",
+    "SuiteTask",
     "TwoCornerRoad",
     "TwoMassCar",
     "Valve",
@@ -86,9 +90,14 @@ def register(what: str, name: str, component: type) -> None:
     tables[what].register(name, component)
 
 
-gymnasium.register(
-    id=ENVIRONMENT_ID,
-    entry_point="roadgym.env:QuarterCarEnv",
-    vector_entry_point="roadgym.vector:QuarterCarVectorEnv",
-    max_episode_steps=500,
-)
+for _id, _steps, _parameters in (
+    (ENVIRONMENT_ID, 500, {}),
+    *((task.id, task.max_episode_steps, dict(task.parameters)) for task in TASKS.values()),
+):
+    gymnasium.register(
+        id=_id,
+        entry_point="roadgym.env:QuarterCarEnv",
+        vector_entry_point="roadgym.vector:QuarterCarVectorEnv",
+        max_episode_steps=_steps,
+        kwargs=_parameters,
+    )

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .compiled import DAMPING, LANES, SHARE, compiled, like, pointer
-from .signals import COMMAND, MEAN, add_row, clip, own_factor, row_of, square_row, valve_work, write_own, write_smooth
+from .compiled import DAMPING, LANES, SHARE, compiled, like, pointer, row_of
+from .signals import COMMAND, MEAN, add_row, clip, own_factor, square_row, valve_work, write_own, write_smooth
 
 # rows of the valve in a block: D in force, its target, and the commands that wait, the newest first
 IN_FORCE, TARGET, WAITING = 0 * LANES, 1 * LANES, 2 * LANES

@@ -5,14 +5,17 @@ each is kept under a *stamp*, a digest of all sources of this package and of the
 file alone, where it belongs to none): after any edit everything is compiled anew. Nothing is written beside the sources,
 numba's settings stay as they are, and where nothing can be kept everything works without.
 
-One file holds the code of one function for one signature. It begins with a digest of the rest, so a damaged one is as good as
-none, and it is written whole, so any number of processes may work at once. Stamps that were not used for long are removed.
+One file holds the code of one function for one signature, or a table that it makes. It begins with a digest of the rest, so a
+damaged one is as good as none, and it is written whole, so any number of processes may work at once. Stamps that were not used
+for long are removed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
+import importlib.util
 import inspect
 import logging
 import multiprocessing
@@ -28,11 +31,8 @@ from types import ModuleType
 from typing import Any
 
 import llvmlite
-import numba
 import numpy as np
-from numba.core import config, serialize
-from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
+import numpy.typing as npt
 
 from .files import PART, whole_file
 
@@ -61,9 +61,18 @@ def user_folder() -> Path | None:
     return found / "roadgym" if found.is_absolute() else None
 
 
+def _numba_folder() -> str:
+    """What numba is told as the folder of its cache, by the environment or by its own file of settings; numba is not loaded."""
+    if "numba" not in sys.modules and not Path(".numba_config.yaml").exists():
+        return os.environ.get("NUMBA_CACHE_DIR", "")
+    from numba.core import config
+
+    return str(getattr(config, "CACHE_DIR", ""))
+
+
 def compiled_folder() -> Path | None:
     """The folder of compiled code: in NUMBA_CACHE_DIR where that is set, else in `user_folder`."""
-    chosen: str = getattr(config, "CACHE_DIR", "")  # from the environment, or from numba's own file of settings
+    chosen = _numba_folder()
     base = Path(chosen).absolute() / "roadgym" if chosen else user_folder()
     return None if base is None else base / "compiled"
 
@@ -159,61 +168,60 @@ def stamp_of(*functions: Callable[..., Any] | ModuleType) -> str | None:
     return hashlib.sha256(f"{here}{own}".encode()).hexdigest()[:32]
 
 
-class CodeCache(NullCache):
-    """Keeps the compiled code of one function; numba asks it in place of the cache that ``cache=True`` would make."""
+@functools.cache
+def machine() -> tuple[Any, ...]:
+    """What compiled code depends on beside its sources: processor, versions, and numba's settings; numba is not loaded."""
+    import llvmlite.binding as llvm
+
+    found = importlib.util.find_spec("numba")
+    folder = None if found is None or found.origin is None else Path(found.origin).parent
+    settings = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_") and name != "NUMBA_CACHE_DIR"}
+    return (
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+        (sys.implementation.cache_tag, llvmlite.__version__, np.__version__),
+        None if folder is None else (folder / "_version.py").read_bytes(),
+        sorted(settings.items()),
+    )
+
+
+class Kept:
+    """What is kept of one function: its code for each signature, or tables that it has made."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._stamp = stamp_of(function)
 
     @property
-    def _folder(self) -> Path | None:
+    def folder(self) -> Path | None:
+        """Where it is kept; None where it cannot be."""
         folder = compiled_folder()
         return None if folder is None or self._stamp is None else folder / self._stamp
 
     @property
-    def cache_path(self) -> str | None:
-        """The folder of this function's code."""
-        return None if self._folder is None else str(self._folder)
-
-    def flush(self) -> None:
-        """Forget this function's code."""
-        if self._folder is not None:
-            for path in self._folder.glob(f"{self._name}-*{SUFFIX}"):
-                path.unlink(missing_ok=True)
-
-    @property
-    def _name(self) -> str:
+    def name(self) -> str:
         """The function's name in terms that every file system knows; what tells functions apart is in the digest."""
         return re.sub(r"\W+", "_", f"{self._function.__module__}_{self._function.__qualname__}")[-100:]
 
-    def _path(self, folder: Path, signature: Any, codegen: Any) -> Path:
+    def _path(self, folder: Path, signature: str) -> Path:
         code, closure = self._function.__code__, self._function.__closure__
         key = (
             self._function.__module__,
             self._function.__qualname__,
             code.co_firstlineno,
             code.co_code,
-            None if closure is None else serialize.dumps(tuple(cell.cell_contents for cell in closure)),
-            repr(signature),
-            codegen.magic_tuple(),  # operating system and processor
-            (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__),
+            None if closure is None else pickle.dumps(tuple(cell.cell_contents for cell in closure)),
+            signature,
+            machine(),
         )
-        return folder / f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}{SUFFIX}"
+        return folder / f"{self.name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}{SUFFIX}"
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The code for a signature, or None."""
-        target_context.refresh()
-        content = None if self._folder is None else self._read(self._path(self._folder, sig, target_context.codegen()))
-        if content is None:
-            if self._function.__module__.startswith(KERNEL):
-                tell_compiling()
+    def read(self, signature: str) -> bytes | None:
+        """What is kept for a signature, or None where there is nothing, or something damaged."""
+        if self.folder is None:
             return None
-        return CompileResult._rebuild(target_context, *pickle.loads(content))
-
-    @staticmethod
-    def _read(path: Path) -> bytes | None:
-        """The code in a file, or None where there is none or a damaged one."""
+        path = self._path(self.folder, signature)
         try:
             content = path.read_bytes()
         except OSError:
@@ -226,22 +234,35 @@ class CodeCache(NullCache):
                 os.utime(path.parent)
         return content[32:]
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the code for a signature where that is possible."""
-        constants_elsewhere = data.library.has_dynamic_globals or not all(lifted.can_cache for lifted in data.lifted)
-        if self._stamp is None or constants_elsewhere:
-            return
-        folder = self._folder
+    def write(self, signature: str, content: bytes) -> None:
+        """Keep something for a signature where that is possible."""
+        folder = self.folder
         if folder is None:
-            warn_not_kept(None, None)
+            if self._stamp is not None:
+                warn_not_kept(None, None)
             return
-        content = serialize.dumps(data._reduce())
         try:
             if not folder.is_dir():
                 folder.mkdir(parents=True, exist_ok=True)
                 for old in _stamps(folder.parent)[KEPT:]:
                     shutil.rmtree(old, ignore_errors=True)
-            with whole_file(self._path(folder, sig, data.codegen), durable=False) as part:
+            with whole_file(self._path(folder, signature), durable=False) as part:
                 part.write_bytes(hashlib.sha256(content).digest() + content)
         except OSError as error:
             warn_not_kept(folder.parent, error)
+
+    def tell(self) -> None:
+        """Say that something is about to be compiled, if it takes long."""
+        if self._function.__module__.startswith(KERNEL):
+            tell_compiling()
+
+
+def remembered(function: Callable[..., npt.NDArray[np.float64]], *numbers: float) -> npt.NDArray[np.float64]:
+    """One row of numbers that a function makes of ``numbers``, made once and kept."""
+    kept, signature = Kept(function), repr(numbers)
+    content = kept.read(signature)
+    if content is not None:
+        return np.frombuffer(content).copy()
+    made = function(*numbers)
+    kept.write(signature, made.tobytes())
+    return made

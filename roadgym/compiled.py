@@ -28,18 +28,18 @@ once, and lets a road live in any module. What is compiled is kept as `roadgym.c
 
 from __future__ import annotations
 
+import ctypes
+import functools
 import inspect
+import pickle
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from llvmlite import ir
-from numba import from_dtype, njit, types
-from numba.core.ccallback import CFunc
-from numba.extending import intrinsic, overload
 
-from .cache import CodeCache
+from .cache import Kept
+from .linking import link
 
 LANES = 64
 
@@ -61,18 +61,57 @@ SUBSTEP, INVERSE_SUBSTEP, SHARE = 0, 1, 2  # the last is the weight of this inst
 DAMPING = 1 * LANES  # D in force
 WORK = 2 * LANES  # first of the rows that belong to the car: the mean squares that it adds up itself, then ``Car.working_rows``
 
-# "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+# what lane functions point to by the name of the parameter; all others are numbers in the precision that is asked for
+KINDS: dict[str, npt.DTypeLike] = {"words": np.uint32, "order": np.int64, "seeds": np.uint64, "seen": np.float32}
+
+
+class CompilationError(Exception):
+    """A function is not one that can be compiled."""
+
+
+class Deferred:
+    """Something of numba's that is made when it is first called, or named in what is being compiled.
+
+    Args:
+        function: that it is made of.
+        make: what makes it, given the module `roadgym.compiler`.
+    """
+
+    def __init__(self, function: Any, make: Callable[[Any], Any]) -> None:
+        self.__doc__, self._make = function and function.__doc__, make
+        self.function = function
+
+    @functools.cached_property
+    def made(self) -> Any:
+        """numba's form of it."""
+        from . import compiler
+
+        return self._make(compiler)
+
+    @property
+    def _numba_type_(self) -> Any:  # numba asks for it
+        from . import compiler
+
+        return compiler.type_of(self.made)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it, compiled."""
+        return self.made(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.made, name)
+
+
+class _Counted(Deferred):
+    def __call__(self, *arguments: Any) -> Any:
+        return self.function(*arguments)
 
 
 def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """numba's decorator with a cache that knows all sources."""
-
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(**options, **_OPTIONS)(function)
-        if dispatcher is not function:  # as it is with NUMBA_DISABLE_JIT
-            dispatcher._cache = CodeCache(function)
-        return dispatcher
+        return Deferred(function, lambda compiler: compiler.dispatcher(function, options))
 
     return decorate
 
@@ -81,51 +120,24 @@ compiled = _kept(nogil=True)
 inlined = _kept(inline="always")  # where a call would stop vectorisation
 
 
+def counted(function: Callable[..., int]) -> Any:
+    """A function that compiled code calls compiled, and Python as it is: it counts rows for both."""
+    return _Counted(function, lambda compiler: compiler.dispatcher(function, {}))
+
+
+# to call functions by their address, and to go along rows by pointers: see `roadgym.compiler`
+call_two: Any = Deferred(None, lambda compiler: compiler.call_two)
+call: Any = Deferred(None, lambda compiler: compiler.call)
+call_car: Any = Deferred(None, lambda compiler: compiler.call_car)
+pointer: Any = Deferred(None, lambda compiler: compiler.pointer)
+record_at: Any = Deferred(None, lambda compiler: compiler.record_at)
+row_of: Any = Deferred(None, lambda compiler: compiler.row_of)
+address_of: Any = Deferred(None, lambda compiler: compiler.address_of)
+
+
 def like(reference: Any, value: Any) -> Any:
     """``value`` in the precision of ``reference`` (a block or a pointer to one), so that literals widen nothing."""
     return reference.dtype.type(value)
-
-
-@overload(like, inline="always", strict=False)
-def _like(reference: Any, value: Any) -> Any:
-    real = reference.dtype
-    return lambda reference, value: real(value)
-
-
-def _code_of_call(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Code that calls the function at an address with the addresses after it."""
-    pointer = ir.PointerType(ir.IntType(8))
-    own = ir.FunctionType(ir.VoidType(), [pointer] * (len(arguments) - 1))
-    function, *addresses = (builder.inttoptr(argument, pointer) for argument in arguments)
-    builder.call(builder.bitcast(function, ir.PointerType(own)), addresses)
-    return context.get_dummy_value()
-
-
-def _call(typing_context: Any, address: Any, lanes: Any, words: Any, table: Any) -> Any:
-    """Call the lane function at ``address`` with three addresses; all are unsigned integers."""
-    return types.void(*[types.uintp] * 4), _code_of_call
-
-
-def _call_car(typing_context: Any, address: Any, lanes: Any, car: Any, work: Any, table: Any) -> Any:
-    """Call a car's lane function at ``address`` with four addresses; all are unsigned integers."""
-    return types.void(*[types.uintp] * 5), _code_of_call
-
-
-call: Any = intrinsic(_call)
-call_car: Any = intrinsic(_call_car)
-
-
-def _pointer(typing_context: Any, address: Any, reference: Any) -> Any:
-    """A pointer to numbers at an address, of the type of ``reference``, a number or an array."""
-    signature = types.CPointer(getattr(reference, "dtype", reference))(types.uintp, reference)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-
-    return signature, generate
-
-
-pointer: Any = intrinsic(_pointer)
 
 
 class LaneFunction:
@@ -138,18 +150,35 @@ class LaneFunction:
     def __init__(self, function: Callable[..., None]) -> None:
         self.function = function
         self.__doc__ = function.__doc__
-        self._cache = CodeCache(function)
-        self._compiled: dict[np.dtype[Any], Any] = {}
+        self._kept = Kept(function)
+        self._addresses: dict[np.dtype[Any], int] = {}
+        self._entries: dict[np.dtype[Any], Callable[..., None]] = {}
 
     def address(self, dtype: npt.DTypeLike) -> int:
-        """Address of the function compiled for ``lanes`` and ``table`` of ``dtype``."""
+        """Address of the function compiled for ``lanes`` and ``table`` of ``dtype``.
+
+        Raises:
+            CompilationError: it does not compile.
+        """
         key = np.dtype(dtype)
-        if key not in self._compiled:
-            number = types.CPointer(from_dtype(key))
-            words = types.CPointer(types.uint32)
-            arguments = tuple(words if name == "words" else number for name in inspect.signature(self.function).parameters)
-            callback: Any = CFunc(self.function, (arguments, types.void), locals={}, options=dict(_OPTIONS))
-            callback._cache = self._cache
-            callback.compile()
-            self._compiled[key] = callback
-        return int(self._compiled[key].address)
+        if key not in self._addresses:
+            content = self._kept.read(key.str)
+            if content is None:
+                from . import compiler
+
+                self._kept.tell()
+                *code, keep = compiler.lane_code(self.function, key)
+                if keep:
+                    self._kept.write(key.str, pickle.dumps(code))
+            else:
+                code = pickle.loads(content)
+            self._addresses[key] = link(*code)
+        return self._addresses[key]
+
+    def entry(self, dtype: npt.DTypeLike) -> Callable[..., None]:
+        """The function for Python, which gives it addresses, and other threads their turn meanwhile."""
+        key = np.dtype(dtype)
+        if key not in self._entries:
+            count = len(inspect.signature(self.function).parameters)
+            self._entries[key] = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * count)(self.address(key))
+        return self._entries[key]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,26 +17,28 @@ class Interval:
 
     Attributes:
         observations: shape (num_envs, signals), float32.
+        rewards: in the precision of the plant, shape (num_envs,).
         truncated: whose episode has ended, shape (num_envs,).
         final_observations: the last observations of these episodes, with the autoreset "same_step", where the others are those
             of the next episodes already; meaningless where none has ended.
     """
 
-    __slots__ = ("_results", "final_observations", "observations", "truncated")
+    __slots__ = ("_results", "final_observations", "observations", "rewards", "truncated")
 
     def __init__(
         self,
         observations: npt.NDArray[np.float32],
         results: Floats,
+        rewards: npt.NDArray[Any],
         truncated: npt.NDArray[np.bool_],
         final_observations: npt.NDArray[np.float32],
     ) -> None:
-        self.observations, self._results = observations, results
+        self.observations, self._results, self.rewards = observations, results, rewards
         self.truncated, self.final_observations = truncated, final_observations
 
     @property
     def reward(self) -> Floats:
-        """Shape (num_envs,)."""
+        """In double precision, shape (num_envs,)."""
         row: Floats = self._results[REWARD]
         return row
 
@@ -61,6 +65,11 @@ class Interval:
         row: Floats = self._results[RESULT_BANDWIDTH]
         return row
 
+    def rows(self) -> list[Floats]:
+        """Mean squares one by one, damping, speed and bandwidth, shape (num_envs,) each."""
+        rows: list[Floats] = list(self._results)
+        return [*rows[SQUARES:], *rows[RESULT_DAMPING:SQUARES]]
+
     def only(self) -> list[float]:
         """Reward, damping, speed, bandwidth and mean squares of the first environment, in this order, as numbers."""
         return self._results[:, 0].tolist()  # type: ignore[no-any-return]
@@ -75,6 +84,11 @@ class CommandedInterval(Interval):
     def mean_squares(self) -> Floats:
         """Of the interval, in the plant's unit, shape (squares, num_envs), in the order of the car's."""
         return self._results[SQUARES:-1]
+
+    def rows(self) -> list[Floats]:
+        """Mean squares one by one, damping in force and commanded, speed and bandwidth, shape (num_envs,) each."""
+        rows: list[Floats] = list(self._results)
+        return [*rows[SQUARES:-1], rows[RESULT_DAMPING], rows[-1], *rows[RESULT_SPEED:SQUARES]]
 
     @property
     def command(self) -> Floats:

@@ -13,8 +13,9 @@ is exact where road and sensors are Gaussian, for every rule that sets D by what
 moments are those of its linear twin, it is the best linear filter where D is set in advance.
 
 Phi and Q are entire functions of D: each is kept as its Chebyshev series over the range of D, at the operating point of its
-car itself. Where that is not told, a bank of filters covers its range, whose posterior weights are those of their innovations
-(D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Autom. Control 10, 1965).
+car itself. Where that is not told, or the car is not, as it varies (`roadgym.variation`), a bank of filters covers the range,
+whose posterior weights are those of their innovations (D. T. Magill, "Optimal adaptive estimation of sampled stochastic
+processes", IEEE Trans. Autom. Control 10, 1965).
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ from .task import OPERATING_POINT, Task, observed_states
 DEGREES = (8, 12, 16, 24, 32, 48, 64, 96, 128)  # of the series, of which the first that is right to ACCURACY is taken
 ACCURACY = 1e-12  # of the largest entry
 IDEAL = Sensor(noise=0.0, bias=0.0, resolution=0.0, delay=0.0, interval=0.0)
-HYPOTHESES = 5  # values of the speed, and of the bandwidth, in a bank
+HYPOTHESES = 5  # values of each number in a bank
+LARGEST_BANK = 2500  # filters of a car
 
 Rows = npt.NDArray[np.float32]
 
@@ -68,16 +70,22 @@ class Model:
     start: FloatArray
     told: FloatArray
 
+    @classmethod
+    def of(cls, parts: Sequence[Model], order: Sequence[int] | npt.NDArray[np.int64]) -> Model:
+        """The points of some models one after the other, of which these are taken in this ``order``."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+
 
 @dataclasses.dataclass
 class Belief:
     """What is known of ``n`` cars, each of which has one filter, or a bank of ``b``.
 
     Attributes:
-        point: frequency ratio and bandwidth of each filter, shape (n, b, 2).
+        point: frequency ratio, bandwidth and the fields that vary, of each filter, shape (n, b, 2 + fields).
         weight: posterior weight of each, shape (n, b).
         mean, covariance: of the states of car, road and sensors, shape (n b, states) and (n b, states, states).
-        valve: D in force, which comes first, and all else that the valve of each car keeps, shape (n, rows).
+        valve: D in force, which comes first, and all else that the valve of each filter keeps, shape (n b, rows).
         time: control intervals since the episode began, shape (n,).
         model: of the filters, and in ``place`` where they have it.
         surprise: innovations of the last measurements over their deviations, and these, shape (2, n b, measured).
@@ -115,8 +123,10 @@ class KalmanFilter:
 
     Args:
         task: the task; signals of its observation but for the operating point are measured. Where it observes the operating
-            point, or that is fixed, it is known, else a bank covers its range, in which it is drawn uniformly.
-        hypotheses: values of the speed, and of the bandwidth, in such a bank.
+            point, or that is fixed, it is known, else a bank covers its range, in which it is drawn uniformly, as it does those
+            of all that varies of car and valve.
+        hypotheses: values of the speed, of the bandwidth and of each field that varies, in such a bank: the middles of as many
+            equal parts of its range, and all combinations of them.
 
     Attributes:
         task: as it was given.
@@ -125,12 +135,15 @@ class KalmanFilter:
         measured, columns: names of the signals that are measured, and where they are in an observation.
         noise: variance of each of them.
         late, period: control intervals after which a sample is told, and from one to the next, of each.
-        ranges, seen: of frequency ratio and bandwidth, and where they are in an observation, or None.
-        bank: operating points of the filters of each car, shape (b, 2), but for what is seen.
+        fields: names of what varies of car and valve.
+        ranges: of frequency ratio, bandwidth and these.
+        seen: where frequency ratio and bandwidth are in an observation, or None.
+        bank: points of the filters of each car, shape (b, 2 + fields), but for what is seen.
         parts: of a control interval, in each of which D is held.
 
     Raises:
-        ParameterError: a plant that is not linear, no measured signal, or a range of D over which the series do not settle.
+        ParameterError: a plant that is not linear, no measured signal, a range of D over which the series do not settle, or a
+            bank of more than `LARGEST_BANK` filters.
     """
 
     def __init__(self, task: Task, hypotheses: int = HYPOTHESES) -> None:
@@ -141,8 +154,7 @@ class KalmanFilter:
             raise ParameterError(f"a Kalman filter needs a signal to be measured; the task observes {', '.join(task.signals)}")
         self.full = dataclasses.replace(task, signals=observed_states(task), sensors=None)
         count = whole("hypotheses", hypotheses, of="hypotheses")
-        motion = task.car.motion
-        self._motion: Motion = motion if any(name in motion.filters for name in self.measured) else motion.own
+        self._weighted = any(name in task.car.motion.filters for name in self.measured)
         self.columns = [task.signals.index(name) for name in self.measured]
         sensors = [task.real_sensors.get(name, IDEAL) for name in self.measured]
         self.noise = np.array([sensor.noise**2 + sensor.resolution**2 / 12 for sensor in sensors])
@@ -152,17 +164,22 @@ class KalmanFilter:
         low, high = task.damping_range
         self._middle, self._half = (low + high) / 2, (high - low) / 2
         ratios = tuple(task.frequency_ratio(speed) for speed in task.speed)
-        self.ranges = (ratios, task.bandwidth)
-        numbers = task.valve.numbers(task.control_interval, task.car.natural_frequency)
-        self._valve = tuple(float(numbers[f"valve_{name}"]) for name in ("late", "part", "levels", "rate", "rise", "fall"))
-        self.parts = 1 if task.valve.is_still(task.control_interval) else task.substeps
+        varied = () if task.vary is None else task.vary.ranges
+        self.fields = tuple(name for name, _, _ in varied)
+        self.ranges = (ratios, task.bandwidth, *((low, high) for _, low, high in varied))
+        self.parts = 1 if task.holds_damping else task.substeps
         self.seen = [task.signals.index(name) if name in task.signals else None for name in OPERATING_POINT]
-        self._degree = self._needed_degree()
+        hidden = [a < b and seen is None for seen, (a, b) in zip([*self.seen, *[None] * len(varied)], self.ranges, strict=True)]
+        if count ** sum(hidden) > LARGEST_BANK:
+            names = ", ".join(itertools.compress((*OPERATING_POINT, *self.fields), hidden))
+            raise ParameterError(f"hypotheses of {names} must make at most {LARGEST_BANK} filters, got {count} of each")
         shares = [
-            [(a + b) / 2] if a == b or seen is not None else (a + (b - a) * (np.arange(count) + 0.5) / count).tolist()
-            for seen, (a, b) in zip(self.seen, self.ranges, strict=True)
+            (a + (b - a) * (np.arange(count) + 0.5) / count).tolist() if many else [(a + b) / 2]
+            for many, (a, b) in zip(hidden, self.ranges, strict=True)
         ]
         self.bank = np.array(list(itertools.product(*shares)))
+        self._valves = np.array([self._drawn(point)[1] for point in self.bank])
+        self._degree = self._needed_degree()
         self._shared = None if any(seen is not None for seen in self.seen) else self.model(self.bank)
 
     def _intervals(self, what: str, time: float) -> int:
@@ -177,12 +194,27 @@ class KalmanFilter:
         """Chebyshev's points."""
         return np.asarray(np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1)))
 
+    def _drawn(self, point: FloatArray) -> tuple[Motion, list[float]]:
+        """The equations of the car at a point, in terms of the nominal one, and what `follow_valve` knows of its valve."""
+        task, values = self.task, point[2:].tolist()
+        valve = task.valve if task.vary is None else task.vary.drawn(values)[1]
+        motion = task.car.motion if task.vary is None else task.vary.motion(values)
+        numbers = valve.numbers(task.control_interval, task.car.natural_frequency)
+        of_valve = [float(numbers[f"valve_{name}"]) for name in ("late", "part", "levels", "rate", "rise", "fall")]
+        return motion if self._weighted else motion.own, of_valve
+
+    @staticmethod
+    def _of_each_car(points: FloatArray) -> list[npt.NDArray[np.int64]]:
+        """Which of the points, shape (points, 2 + fields), are of the same car."""
+        _, car = np.unique(points[:, 2:], axis=0, return_inverse=True)
+        return [np.flatnonzero(car.reshape(-1) == k) for k in range(car.max() + 1)]
+
     def system(self, points: FloatArray, damping: FloatArray) -> LinearSystem:
-        """Road and car at operating points, shape (points, 1 or as many as there are dampings)."""
+        """Road and car at points of one car, shape (points, 1 or as many as there are dampings)."""
         ratio, bandwidth = points[:, 0, None], points[:, 1, None]
         road = self.task.road.shaping_filter(bandwidth if self.task.bandwidth[1] > 0 else None)
         assert road is not None  # as `check_linear` has seen
-        return LinearSystem.of(road, self._motion, damping=damping, ratio=ratio)
+        return LinearSystem.of(road, self._drawn(points[0])[0], damping=damping, ratio=ratio)
 
     def _steps(self, points: FloatArray, damping: FloatArray, time: float) -> FloatArray:
         """Phi and Q over ``time``, shape (points, dampings, 2, n, n)."""
@@ -212,16 +244,19 @@ class KalmanFilter:
         return series
 
     def _needed_degree(self) -> int:
-        """That at which the series are right at the corners of the operating range."""
-        corners = np.array(list(itertools.product(*self.ranges)))
-        between = np.linspace(-1, 1, 7)
-        known = self._steps(corners, self._middle + self._half * between, self.interval / self.parts).reshape(
-            len(corners), 7, 2, -1
-        )
+        """That at which the series are right at the corners of all ranges."""
+        corners = np.array(list(itertools.product(*(dict.fromkeys(ends) for ends in self.ranges))))
+        between, time = np.linspace(-1, 1, 7), self.interval / self.parts
+        cars = [corners[rows] for rows in self._of_each_car(corners)]
+        known = [self._steps(points, self._middle + self._half * between, time) for points in cars]
+
+        def right(degree: int, points: FloatArray, steps: FloatArray) -> bool:
+            found = np.polynomial.chebyshev.chebvander(between, degree) @ self._series(points, degree)
+            error = np.abs(found.reshape(steps.shape) - steps).max(axis=(0, 1, 3, 4))
+            return bool(np.all(error <= ACCURACY * np.abs(steps).max(axis=(0, 1, 3, 4))))
+
         for degree in DEGREES:
-            found = np.polynomial.chebyshev.chebvander(between, degree) @ self._series(corners, degree)
-            error = np.abs(found.reshape(known.shape) - known).max(axis=(0, 1, 3))
-            if np.all(error <= ACCURACY * np.abs(known).max(axis=(0, 1, 3))):
+            if all(right(degree, *each) for each in zip(cars, known, strict=True)):
                 return degree
         low, high = self.task.damping_range
         raise ParameterError(
@@ -229,7 +264,12 @@ class KalmanFilter:
         )
 
     def model(self, points: FloatArray) -> Model:
-        """Road and car at operating points (frequency ratio, bandwidth or 0), shape (points, 2)."""
+        """Road and car at points (frequency ratio, bandwidth or 0, fields), shape (points, 2 + fields)."""
+        cars = self._of_each_car(points)
+        return Model.of([self._model(points[rows]) for rows in cars], np.argsort(np.concatenate(cars)))
+
+    def _model(self, points: FloatArray) -> Model:
+        """The same at points of one car."""
         task, still = self.task, self.system(points, np.zeros(1))
         unit = self.system(points, np.ones(1))
         cars, size, count = still.car_states, len(still.states), len(points)
@@ -283,7 +323,7 @@ class KalmanFilter:
         return self.late[self.late > 0]
 
     def _points(self, observations: Rows) -> FloatArray:
-        """Operating points of the filters of each car, shape (n, b, 2), from observations."""
+        """The points of the filters of each car, shape (n, b, 2 + fields), from observations."""
         points = np.repeat(self.bank[None], len(observations), axis=0)
         for k, (seen, factor) in enumerate(zip(self.seen, (1.0, 2.0), strict=True)):
             if seen is not None:
@@ -297,7 +337,7 @@ class KalmanFilter:
         points = self._points(seen)
         cars, bank = points.shape[:2]
         if self._shared is None:
-            distinct, place = np.unique(points.reshape(-1, 2), axis=0, return_inverse=True)
+            distinct, place = np.unique(points.reshape(cars * bank, -1), axis=0, return_inverse=True)
             model, place = self.model(distinct), place.reshape(-1).astype(np.int64)
         else:
             model, place = self._shared, np.tile(np.arange(bank), cars)
@@ -306,7 +346,7 @@ class KalmanFilter:
             weight=np.full((cars, bank), 1 / bank),
             mean=np.zeros((cars * bank, model.start.shape[-1])),
             covariance=model.start[place],
-            valve=np.full((cars, 4 + int(self._valve[0])), self.task.damping_range[0]),
+            valve=np.full((cars * bank, 4 + int(self._valves[:, 0].max())), self.task.damping_range[0]),
             time=np.zeros(cars, np.int64),
             model=model,
             place=place,
@@ -324,9 +364,9 @@ class KalmanFilter:
         """
         names = ("weight", "mean", "covariance", "valve")
         moved = dataclasses.replace(belief, **{name: getattr(belief, name).copy() for name in names}, time=belief.time + 1)
-        means, part = np.empty((len(belief.time), self.parts)), self.interval / self.parts
+        means, part = np.empty((len(belief.mean), self.parts)), self.interval / self.parts
         commands = np.clip(np.asarray(damping, float), *self.task.damping_range)
-        follow_valve(self._valve, self.task.damping_range, part, commands, moved.valve, means)
+        follow_valve(self._valves, self.task.damping_range, part, commands, moved.valve, means)
         known = belief.model.series, belief.model.delayed, self._lags, belief.place
         advance_beliefs(*known, belief.valve[:, 0], means, self._middle, self._half, moved.mean, moved.covariance)
         return self._measured(moved, np.asarray(observations, np.float32))
@@ -349,10 +389,10 @@ class KalmanFilter:
             return self.begin(seen)
         fresh, own = self.begin(seen[starts]), np.repeat(starts, belief.weight.shape[1])
         result = dataclasses.replace(belief)
-        for name in ("point", "weight", "valve", "time"):
+        for name in ("point", "weight", "time"):
             setattr(result, name, getattr(belief, name).copy())
             getattr(result, name)[starts] = getattr(fresh, name)
-        for name in ("mean", "covariance"):
+        for name in ("mean", "covariance", "valve"):
             setattr(result, name, getattr(belief, name).copy())
             getattr(result, name)[own] = getattr(fresh, name)
         result.surprise = belief.surprise.copy()
@@ -361,11 +401,8 @@ class KalmanFilter:
             result.place = belief.place.copy()
             kept, place = np.unique(belief.place[~own], return_inverse=True)
             result.place[~own], result.place[own] = place.reshape(-1), fresh.place + len(kept)
-            parts = {
-                field.name: np.concatenate([getattr(belief.model, field.name)[kept], getattr(fresh.model, field.name)])
-                for field in dataclasses.fields(Model)
-            }
-            result.model = Model(**parts)
+            order = np.append(kept, len(belief.model.series) + np.arange(len(fresh.model.series)))
+            result.model = Model.of([belief.model, fresh.model], order)
         return result
 
     def observation(self, belief: Belief) -> Rows:
@@ -379,8 +416,14 @@ class KalmanFilter:
     def likeliest(self, belief: Belief) -> Rows:
         """The operating point of the most probable filter of each car, as it is observed, shape (n, 1 or 2)."""
         best = np.take_along_axis(belief.point, np.argmax(belief.weight, axis=1)[:, None, None], axis=1)[:, 0]
-        found = best * [1, 2] / (1 + best * [1, 2])
+        found = best[:, :2] * [1, 2] / (1 + best[:, :2] * [1, 2])
         return found[:, [name in self.full.signals for name in OPERATING_POINT]].astype(np.float32)
+
+    def varied(self, belief: Belief) -> dict[str, FloatArray]:
+        """Mean and standard deviation of each field that varies, given all that was measured, shape (2, n) by name."""
+        means = np.einsum("nb,nbf->nf", belief.weight, belief.point[..., 2:])
+        squares = np.einsum("nb,nbf->nf", belief.weight, (belief.point[..., 2:] - means[:, None]) ** 2)
+        return {name: np.stack([means[:, k], np.sqrt(squares[:, k])]) for k, name in enumerate(self.fields)}
 
     def _told(self, belief: Belief) -> tuple[Rows, Rows]:
         """Means and standard deviations."""

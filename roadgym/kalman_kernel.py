@@ -78,23 +78,24 @@ def spread_rows(rows: Any, start: Any, variances: Any, whole: Any) -> None:
 
 @compiled
 def follow_valve(numbers: Any, ends: Any, time: float, commands: Any, valve: Any, means: Any) -> None:
-    """Move the valve of each car through a control interval, as `roadgym.actuation` does.
+    """Move the valve of each filter through a control interval, as `roadgym.actuation` does.
 
     Args:
-        numbers: late, part, levels, rate, rise and fall of `roadgym.valve.Valve.numbers`.
+        numbers: late, part, levels, rate, rise and fall of `roadgym.valve.Valve.numbers`, of each filter of a bank.
         ends: of the range of D.
         time: that each part of the interval lasts, in units of 1/w1.
-        commands: within the range, shape (n,).
-        valve: D in force, its target, and the commands that wait, the newest first, shape (n, 4 + late).
-        means: set to the mean D of each part, shape (n, parts).
+        commands: of each car, within the range, shape (n,).
+        valve: D in force, its target, and the commands that wait, the newest first, shape (n b, 4 + late).
+        means: set to the mean D of each part, shape (n b, parts).
     """
-    late, part, levels, rate, rise, fall = numbers
     low, high = ends
-    step, parts = (high - low) / max(levels - 1, 1.0), means.shape[1]
+    bank, parts = len(numbers), means.shape[1]
     for i in range(len(means)):
+        late, part, levels, rate, rise, fall = numbers[i % bank]
+        command, step = commands[i // bank], (high - low) / max(levels - 1, 1.0)
         for k in range(valve.shape[1] - 1, 2, -1):
             valve[i, k] = valve[i, k - 1]
-        valve[i, 2] = low + step * np.rint((commands[i] - low) / step) if levels > 0 else commands[i]
+        valve[i, 2] = low + step * np.rint((command - low) / step) if levels > 0 else command
         newer, older = valve[i, 2 + int(late)], valve[i, 3 + int(late)]
         for k in range(parts):
             until = min(max(part * parts - k, 0.0), 1.0) * time
@@ -150,9 +151,9 @@ def advance_beliefs(
 
     After the states of car and road come the biases, which stay, and for each delayed signal its last values, the newest first:
     that at the beginning of the interval, where the damping ``before`` was in force, comes in, ``lags`` of them are kept. D is
-    ``damping`` in the parts of the interval, shape (cars, parts).
+    ``damping`` in the parts of the interval, shape (n, parts).
     """
-    size, bank = mean.shape[1], len(mean) // len(damping)
+    size = mean.shape[1]
     own, chains = delayed.shape[3], lags.sum()
     step, powers = np.empty(2 * own * own), np.empty(series.shape[1])
     phi, spread, work = np.empty((own, own)), np.empty((own, own)), np.empty((own, own))
@@ -160,18 +161,17 @@ def advance_beliefs(
     for a in range(own, size - chains):
         pull[a, a] = 1.0
     for i in range(len(mean)):
-        car = i // bank
-        read_series(series[place[i]], (damping[car, 0] - middle) / half, powers, step)
+        read_series(series[place[i]], (damping[i, 0] - middle) / half, powers, step)
         phi[:] = step[: own * own].reshape(own, own)
         spread[:] = step[own * own :].reshape(own, own)
         for k in range(1, damping.shape[1]):
-            read_series(series[place[i]], (damping[car, k] - middle) / half, powers, step)
+            read_series(series[place[i]], (damping[i, k] - middle) / half, powers, step)
             lengthen(phi, spread, step, work)
         pull[:own, :own] = phi
         row = size - chains
         for j in range(len(lags)):
             for b in range(own):
-                pull[row, b] = delayed[place[i], 0, j, b] + before[car] * delayed[place[i], 1, j, b]
+                pull[row, b] = delayed[place[i], 0, j, b] + before[i] * delayed[place[i], 1, j, b]
             for a in range(row + 1, row + lags[j]):
                 pull[a, a - 1] = 1.0
             row += lags[j]
@@ -214,7 +214,7 @@ def take_up(
     Args:
         rows: H(0) and dH/dD of each place.
         place: of each filter.
-        damping: that was in force last, of each car.
+        damping: that was in force last, of each filter.
         noise: the diagonal of R.
         late, period: intervals after which a sample is told, and from one to the next, of each sensor; those that were told
             already are not taken up again.
@@ -236,7 +236,7 @@ def take_up(
             variance, possible = noise[j], noise[j]
             error = np.float64(measured[car, j])
             for a in range(size):
-                row[a] = rows[place[i], 0, j, a] + damping[car] * rows[place[i], 1, j, a]
+                row[a] = rows[place[i], 0, j, a] + damping[i] * rows[place[i], 1, j, a]
                 error -= row[a] * mean[i, a]
             for a in range(size):
                 total = 0.0

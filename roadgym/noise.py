@@ -111,18 +111,21 @@ def sine_of_turns(a: Any) -> Any:
     return value * a
 
 
-@compiled
-def _hash(seeds: Any, keys: Any) -> None:
-    for i in range(seeds.size):
-        low = np.uint32(seeds[i])
-        high = np.uint32(seeds[i] >> np.uint64(32))
+@LaneFunction
+def hash_seeds(seeds: Any, words: Any) -> None:
+    """Two rows of keys from ``seeds``, which begin with their number."""
+    count = np.int64(seeds[0])
+    for i in range(count):
+        low = np.uint32(seeds[1 + i])
+        high = np.uint32(seeds[1 + i] >> np.uint64(32))
         k0, k1, _, _ = philox(low, high, np.uint32(0), np.uint32(0), np.uint32(0x726F6164), np.uint32(0x67796D))
-        keys[0, i] = k0
-        keys[1, i] = k1
+        words[i] = k0
+        words[count + i] = k1
 
 
 def keys_from_seeds(seeds: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint32]:
     """Keys, shape (2, n), from seeds, shape (n,): neighbouring seeds give unrelated keys."""
     keys = np.empty((2, seeds.size), np.uint32)
-    _hash(seeds, keys)
+    counted = np.concatenate([np.array([seeds.size], np.uint64), seeds])
+    hash_seeds.entry(np.uint32)(counted.ctypes.data, keys.ctypes.data)
     return keys

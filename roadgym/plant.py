@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba.core.errors import NumbaError
 
 from . import compiled, kernel
+from .addresses import lane_address, padded_table
 from .cars import Car
 from .cars.linear import STATES
 from .compiled import COEFFICIENT, LANES, LaneFunction
@@ -22,24 +20,36 @@ from .interval import Floats as Floats
 from .interval import Interval as Interval
 from .noise import fill_words, keys_from_seeds
 from .parameters import ParameterError, PlantError, number_array, shown, within
+from .pool import pool
+from .processors import usual_threads
 from .record import (
+    BEGIN,
     COUNTERS,
     DISABLED,
+    END,
     EPISODE,
     NEXT_STEP,
     OBSERVED_BANDWIDTH,
     OBSERVED_SENSOR,
     OBSERVED_SIGNAL,
     OBSERVED_SPEED,
+    ORDER,
     PENDING,
     PLANT,
+    PLANT_ADDRESS,
     SAME_STEP,
+    SPARE_ADDRESS,
     SQUARES,
     STEP,
+    UNSOUND,
+    WORDS_ADDRESS,
+    WORK_ADDRESS,
     interval_weights,
 )
+from .reused import Reused
 from .reward import divergent_terms
 from .roads import Road
+from .sensing import arranged
 from .sensors import SensorTables, check_delays
 from .speed import SpeedNoise
 from .task import OPERATING_POINT, SATURATION, Task
@@ -58,54 +68,11 @@ BUS = {
     "rate": compiled.RATE,
 }
 
-MOST_THREADS = 1024  # of the pool; it starts a thread only where none is idle, so as many as are at work together
-
-_pools: dict[int, ThreadPoolExecutor] = {}
-
-
-def _pool() -> ThreadPoolExecutor:
-    """The thread pool of this process, one for all plants; a forked worker does not find its parent's."""
-    process = os.getpid()
-    if process not in _pools:
-        _pools[process] = ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="roadgym")
-    return _pools[process]
-
-
-PADDING = 4096  # numbers after a table, all NaN: what reads beyond its end shows, and reads nobody else's memory
-
-
-def padded_table(name: str, table: Any, dtype: np.dtype[Any], *, finite: bool = True) -> npt.NDArray[Any]:
-    """The constants of a component for compiled code, with `PADDING` after them.
-
-    Args:
-        name: of the table, for messages.
-        table: its numbers.
-        dtype: of compiled code.
-        finite: must they be; a bound of minus infinity is a constant too.
-
-    Raises:
-        ParameterError: no numbers in one row.
-    """
-    row = number_array(name, table) if finite else np.asarray(table, np.float64)
-    if row.ndim != 1 or row.size == 0:
-        raise ParameterError(f"{name} must be one row of numbers, got the shape {row.shape}")
-    with np.errstate(over="ignore"):
-        constants = row.astype(dtype)
-    if np.any(np.isinf(constants) & np.isfinite(row)):
-        raise ParameterError(f"{name} must have numbers that {dtype} holds, up to {np.finfo(dtype).max:.2g}")
-    return np.concatenate([constants, np.full(PADDING, np.nan, dtype)])
-
-
-def lane_address(component: Road | SpeedNoise | Car, function: LaneFunction | None, dtype: np.dtype[Any]) -> int:
-    """Address of a component's function for the kernel, 0 where it has none.
-
-    Raises:
-        ParameterError: it does not compile.
-    """
-    try:
-        return 0 if function is None else function.address(dtype)
-    except NumbaError as error:
-        raise ParameterError(f"a lane function of the {component.kind} component does not compile: {error}") from error
+# where the record has what every step sets
+OBSERVATIONS, FINAL_OBSERVATIONS, RESULTS, REWARDS, TRUNCATED, MASK, FORCED = (
+    PLANT.names.index(name)  # type: ignore[union-attr]
+    for name in ("observations", "final_observations", "results", "rewards", "truncated", "mask", "forced")
+)
 
 
 class Plant:
@@ -135,8 +102,7 @@ class Plant:
         self.num_envs = num_envs
         self.blocks = -(-num_envs // LANES)
         self.dtype = np.dtype(task.precision)
-        available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-        self.threads = max(1, min(threads or available, self.blocks // BLOCKS_PER_THREAD))
+        self.threads = max(1, min(threads or usual_threads(), self.blocks // BLOCKS_PER_THREAD))
         road, noise, vary = task.road, task.speed_noise, task.vary
         self._driven = car = task.car if vary is None else vary.driven_car
         self._slowest = valve = task.valve if vary is None else vary.slowest_valve
@@ -156,8 +122,10 @@ class Plant:
         self._max_episode_steps, self._speed_unit = max_episode_steps, task.speed_unit if told else 1.0
         self._autoreset = AUTORESET[autoreset]
         self._restarts = vary is not None and autoreset == "same_step"  # here, with another car, and not in compiled code
-        self._observed = num_envs, len(task.signals)
-        self._results = SQUARES + len(task.reward) + (not valve.ideal), num_envs
+        self._observations = Reused((num_envs, len(task.signals)), np.float32)
+        self._results = Reused((SQUARES + len(task.reward) + (not valve.ideal), num_envs), np.float64)
+        self._rewards, self._truncated = Reused(num_envs, self.dtype), Reused(num_envs, np.bool_)
+        self._asked = np.zeros(num_envs, np.float32)
         self._interval = Interval if valve.ideal else CommandedInterval
         self.started = False
 
@@ -187,7 +155,7 @@ class Plant:
             "sensor_numbers": self._sensors.numbers,
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
-        self._record = self._make_record()
+        self._connect()
         self.drawn = self._drawn = np.zeros((0 if vary is None else len(vary.names), num_envs))
         if vary is not None:  # lanes beyond the last environment keep the nominal car
             nominal = vary.driven_car.numbers(task.car, task.valve, 1.0, self._substep, task.control_interval, self._met)
@@ -203,6 +171,20 @@ class Plant:
         if name not in signals or dict(signals[name].terms) == {name: 1.0}:  # as it is
             return self._offset(name)
         return OBSERVED_SIGNAL - list(signals).index(name)
+
+    def _connect(self) -> None:
+        """All that has addresses of this process."""
+        self._record = self._make_record()
+        self._fields = self._record.view(np.uint64)
+        plant, edges = self._record.view(np.recarray)[0], [self.blocks * k // self.threads for k in range(self.threads + 1)]
+        spaces = (kernel.numbers_met(plant), self.dtype), (kernel.words_met(plant), np.uint32), (kernel.SPARE, np.uint32)
+        self._spaces = [[np.zeros(*space) for space in spaces] for _ in range(self.threads)]
+        self._orders = np.zeros((self.threads, ORDER), np.int64)
+        for order, own, (begin, end) in zip(self._orders, self._spaces, itertools.pairwise(edges), strict=True):
+            order[BEGIN], order[END], order[PLANT_ADDRESS] = begin, end, self._record.ctypes.data
+            order[[WORK_ADDRESS, WORDS_ADDRESS, SPARE_ADDRESS]] = [space.ctypes.data for space in own]
+        self._places = [(order.ctypes.data, self._state.ctypes.data) for order in self._orders]
+        self._step, self._reset = kernel.step_blocks.entry(self.dtype), kernel.reset_blocks.entry(self.dtype)
 
     def _make_record(self) -> npt.NDArray[Any]:
         """The plant as the kernel knows it; its addresses belong to this process."""
@@ -221,6 +203,8 @@ class Plant:
         for name, (component, function) in functions.items():
             record[name] = lane_address(component, function, self.dtype)
         record["fill_words"] = fill_words.address(np.uint32)
+        record["arrange"] = arranged(len(task.signals)).address(self.dtype)
+        record["counters"], record["actions"] = self._counters.ctypes.data, self._asked.ctypes.data
         for name, table in self._tables.items():
             record[f"{name}_table"] = table.ctypes.data
         for name, constants in self._constants.items():
@@ -237,7 +221,8 @@ class Plant:
             "signals": len(signals),
             "squared": car.squared,
             "relative": signals.index(car.motion.relative),
-            "observations": len(task.signals),
+            "observed_signals": len(task.signals),
+            "environments": self.num_envs,
             "sensors": len(self._sensors.integers),
             "valve_row": self._valve,
             "valve_rows": valve.rows(task.control_interval),
@@ -282,30 +267,29 @@ class Plant:
         self._own_numbers[block, :, lane] = rows.T
 
     def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        del state["_record"]
-        return state
+        local = ("_record", "_fields", "_spaces", "_orders", "_places", "_step", "_reset")
+        return {name: value for name, value in self.__dict__.items() if name not in local}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._record = self._make_record()
+        self._connect()
 
-    def _run(self, function: Callable[..., int], *arguments: Any) -> None:
+    def _run(self, function: Callable[..., None]) -> None:
         """Run a function of the kernel over all blocks.
 
         Raises:
             PlantError: a number is not finite.
         """
         if self.threads == 1:
-            unsound = function(0, self.blocks, self._record, self._state, self._counters, *arguments)
+            function(*self._places[0])
         else:
-            edges = [self.blocks * k // self.threads for k in range(self.threads + 1)]
-            pool = _pool()
-            arguments = (self._record, self._state, self._counters, *arguments)
-            futures = [pool.submit(function, low, high, *arguments) for low, high in itertools.pairwise(edges[1:])]
-            found = [function(edges[0], edges[1], *arguments), *(future.result() for future in futures)]
-            unsound = min((environment for environment in found if environment >= 0), default=-1)
-        if unsound >= 0:
+            futures = [pool().submit(function, *places) for places in self._places[1:]]
+            function(*self._places[0])
+            for future in futures:
+                future.result()
+        found = self._orders[:, UNSOUND].tolist()
+        if max(found) >= 0:
+            unsound = min(environment for environment in found if environment >= 0)
             raise PlantError(
                 f"environment {unsound} of {self.num_envs} has left the numbers that {self.dtype} can hold; reset it, and look "
                 f"for what drove it there: {self.task}"
@@ -349,28 +333,41 @@ class Plant:
 
     def reset(self, forced: npt.NDArray[np.float64], mask: npt.NDArray[np.bool_]) -> Interval:
         """Start the masked environments in their next episode; reward and mean squares are 0."""
-        observations = np.empty(self._observed, np.float32)
-        results = np.zeros(self._results)
+        observations, results, rewards, _ = self._taken()
+        results[:] = 0
+        rewards[:] = 0
+        mask = np.ascontiguousarray(mask)
+        self._fields[MASK], self._fields[FORCED] = mask.ctypes.data, forced.ctypes.data
         self._draw(mask)
-        self._run(kernel.reset_blocks, forced, mask, observations, results)
+        self._run(self._reset)
         self.started, self.drawn = True, self._drawn
-        return self._interval(observations, results, np.zeros(self.num_envs, np.bool_), observations)
+        return self._interval(observations, results, rewards, np.zeros(self.num_envs, np.bool_), observations)
+
+    def _taken(self) -> tuple[npt.NDArray[Any], ...]:
+        """Where the kernel writes next: observations, results, rewards, truncated."""
+        fields = self._fields
+        observations, fields[OBSERVATIONS] = self._observations.take()
+        results, fields[RESULTS] = self._results.take()
+        rewards, fields[REWARDS] = self._rewards.take()
+        truncated, fields[TRUNCATED] = self._truncated.take()
+        return observations, results, rewards, truncated
 
     def step(self, actions: npt.NDArray[np.float32]) -> Interval:
         """One control interval with the damping ratios ``actions``, shape (num_envs,)."""
-        observations = np.empty(self._observed, np.float32)
-        final = np.empty_like(observations) if self._autoreset == SAME_STEP else observations
-        results = np.empty(self._results)
-        truncated = np.empty(self.num_envs, np.bool_)
+        observations, results, rewards, truncated = self._taken()
+        final = observations
+        if self._autoreset == SAME_STEP:
+            final, self._fields[FINAL_OBSERVATIONS] = self._observations.take()
+        self._asked[:] = actions
         if self.task.vary is not None:
             self._draw(self._counter_rows[:, PENDING // LANES].reshape(-1)[: self.num_envs] != 0)
             self.drawn = self._drawn
-        self._run(kernel.step_blocks, actions, observations, results, truncated, final)
+        self._run(self._step)
         if self._restarts and truncated.any():
             final[:] = observations
             told, begun = self.drawn, self.reset(self.forced({}), truncated).observations
             self.drawn, observations[truncated] = told, begun[truncated]
-        return self._interval(observations, results, truncated, final)
+        return self._interval(observations, results, rewards, truncated, final)
 
     def trace(self, actions: npt.NDArray[np.float32]) -> tuple[Interval, npt.NDArray[Any], npt.NDArray[Any]]:
         """`step`, and what was met on the way.

@@ -27,11 +27,19 @@ PLANT = np.dtype(
         ("filter_table", np.uint64),  # address of 64-bit numbers, `roadgym.filters.filter_table`
         # addresses of 64-bit integers and numbers, `roadgym.sensors.SensorTables`
         *((name, np.uint64) for name in ("sensor_integers", "sensor_numbers")),
+        # addresses of the counters of all blocks, and of what is taken and told at this call: actions, single precision; of a
+        # reset which environments begin anew, truth values, and the speeds and bandwidths that are forced on them, 64-bit
+        # numbers, or 0; observations, single precision; the rows of the results, 64-bit numbers; rewards, in the precision of
+        # the state; and whose episode is over, truth values
+        *((name, np.uint64) for name in ("counters", "actions", "mask", "forced", "observations", "final_observations")),
+        *((name, np.uint64) for name in ("results", "rewards", "truncated")),
+        ("arrange", np.uint64),  # lane function that writes the observations of a whole block, `roadgym.sensing.arranged`
         ("path", np.uint64),  # address of rows for the angle and the level of each substep of each block, see `Plant.trace`
         # how many of each there are, in a block where it is of rows
         *((name, np.int64) for name in ("substeps", "road_words", "speed_words", "states", "signals", "squared", "relative")),
-        *((name, np.int64) for name in ("observations", "block_size", "car", "work", "warm_up_steps", "max_episode_steps")),
+        *((name, np.int64) for name in ("observed_signals", "block_size", "car", "work", "warm_up_steps", "max_episode_steps")),
         ("autoreset", np.int64),
+        ("environments", np.int64),
         # states of the car itself, filters of its signals, and the row of the block at which the states of these begin
         *((name, np.int64) for name in ("own_states", "filters", "filter_states")),
         ("sensors", np.int64),  # signals that are observed by them
@@ -72,6 +80,12 @@ def interval_weights(substeps: int) -> npt.NDArray[np.float64]:
 # rows of the counters of a block; the first four are what `noise.fill_words` expects
 KEY, EPISODE, STEP, PENDING = 0 * LANES, 2 * LANES, 3 * LANES, 4 * LANES
 COUNTERS = 5 * LANES
+
+# what a call of the kernel is told and tells, 64-bit integers: the first of the blocks to serve, and the end of them; the first
+# environment in which a number is not finite, or -1; addresses of the plant and of memory for this call alone: numbers, words,
+# and others of 32 bits; and for `roadgym.kernel.drive_roads` the number of points, and where their levels and slopes go
+BEGIN, END, UNSOUND, PLANT_ADDRESS, WORK_ADDRESS, WORDS_ADDRESS, SPARE_ADDRESS, POINTS, LEVELS, SLOPES = range(10)
+ORDER = 10
 
 # rows of the results: what a step reports of each environment; from SQUARES on the mean squares
 REWARD, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, SQUARES = range(5)

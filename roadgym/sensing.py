@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
 
-from .compiled import BANDWIDTH, LANES, SPEED, compiled, like, pointer
+from .compiled import BANDWIDTH, LANES, SPEED, LaneFunction, address_of, call_two, compiled, like, pointer, row_of
 from .noise import SENSOR, SENSOR_BIAS, normal_pair, philox
 from .record import (
     EPISODE,
@@ -32,7 +33,7 @@ from .sensors import (
     SLOTS,
     SOURCE,
 )
-from .signals import clip, row_of, signal_row, write_observed
+from .signals import clip, seen_row, signal_row, write_observed
 
 
 @compiled
@@ -110,14 +111,26 @@ def read_sensor(plant: Any, lanes: Any, counters: Any, s: int, target: Any) -> N
         target[i] = lanes[sensor[PLACE] + (1 + (time // sensor[PERIOD]) % sensor[SLOTS]) * LANES + i]
 
 
+@functools.cache
+def arranged(number: int) -> LaneFunction:
+    """Writes ``number`` rows of a block as columns: for a number that is known the compiler turns them in registers."""
+
+    def arrange(rows: Any, seen: Any) -> None:
+        for i in range(LANES):
+            for j in range(number):
+                seen[number * i + j] = rows[j * LANES + i]
+
+    return LaneFunction(arrange)
+
+
 @compiled
 def observe_block(plant: Any, lanes: Any, work: Any, counters: Any, observations: Any, first: int, count: int) -> None:
-    """Write what is observed of the first ``count`` lanes to the rows from ``first`` of ``observations``."""
+    """Write what is observed of the first ``count`` lanes to the rows from ``first`` at the address ``observations``."""
     one, two = like(lanes, 1.0), like(lanes, 2.0)
     high = like(lanes, plant.saturation)
     low = -high
-    observed, number = pointer(plant.observed, np.int64(0)), plant.observations
-    own, target = row_of(work, signal_row(plant)), row_of(observations, first * number)
+    observed, number = pointer(plant.observed, np.int64(0)), plant.observed_signals
+    own, seen = row_of(work, signal_row(plant)), row_of(work, seen_row(plant))
     for j in range(number):
         what, row = observed[j], own
         if what >= 0:
@@ -132,7 +145,12 @@ def observe_block(plant: Any, lanes: Any, work: Any, counters: Any, observations
             read_sensor(plant, lanes, counters, OBSERVED_SENSOR - what, own)
         else:
             write_observed(plant, lanes, work, OBSERVED_SIGNAL - what)
-        place = j
+        for i in range(LANES):
+            seen[j * LANES + i] = clip(row[i], low, high)
+    target = row_of(pointer(observations, np.float32(0)), first * number)
+    if count == LANES:
+        call_two(plant.arrange, address_of(seen), address_of(target))
+    else:
         for i in range(count):
-            target[place] = clip(row[i], low, high)
-            place += number
+            for j in range(number):
+                target[i * number + j] = seen[j * LANES + i]

@@ -22,11 +22,12 @@ from .compiled import (
     SHARE,
     SLOPE,
     SPEED,
-    SUBSTEP,
     WORK,
     compiled,
+    counted,
     like,
     pointer,
+    row_of,
 )
 from .record import (
     RESULT_BANDWIDTH,
@@ -49,18 +50,12 @@ SECTION = 10  # numbers of a section in `roadgym.filters.filter_table`
 
 
 @compiled
-def row_of(block: Any, offset: int) -> Any:
-    """A pointer to a row of a block; compiled code goes along it without a look at its sign and at the array's end."""
-    return pointer(block.ctypes.data + np.uint64(block.itemsize * offset), block)
-
-
-@compiled
 def square_row(plant: Any, k: int) -> int:
     """Where ``work`` has the mean square of signal ``k``."""
     return WORK + k * LANES if k < plant.squared else plant.work + (k - plant.squared) * LANES
 
 
-@compiled
+@counted
 def signal_row(plant: Any) -> int:
     """Where ``work`` has the signal in hand."""
     return int(plant.work + (plant.signals - plant.squared) * LANES)
@@ -72,26 +67,28 @@ def state_row(plant: Any, k: int) -> int:
     return int(plant.car + k * LANES if k < plant.own_states else plant.filter_states + (k - plant.own_states) * LANES)
 
 
-@compiled
+@counted
 def filter_row(plant: Any, k: int) -> int:
     """Where ``work`` has the rows of filter ``k``."""
     return int(signal_row(plant) + (2 + k * (2 * plant.own_states + 4 + FILTER_ROWS)) * LANES)
 
 
-@compiled
+@counted
 def valve_work(plant: Any) -> int:
     """Where ``work`` has the rows of the valve, after all others."""
     return int(filter_row(plant, plant.filters))
 
 
-@compiled
-def new_work(plant: Any, state: Any) -> Any:
-    """The numbers of an interval of one block, with its constants in place."""
-    rows = VALVE_ROWS + plant.signals if plant.valve else 0
-    work = np.zeros(valve_work(plant) + rows * LANES, state.dtype)
-    work[SUBSTEP] = plant.substep
-    work[INVERSE_SUBSTEP] = 1.0 / plant.substep
-    return work
+@counted
+def seen_row(plant: Any) -> int:
+    """Where ``work`` has what is observed, row by row."""
+    return int(valve_work(plant) + (VALVE_ROWS + plant.signals if plant.valve else 0) * LANES)
+
+
+@counted
+def work_end(plant: Any) -> int:
+    """Where all rows of ``work`` end."""
+    return int(seen_row(plant) + plant.observed_signals * LANES)
 
 
 @compiled
@@ -273,51 +270,65 @@ def clip(value: Any, low: Any, high: Any) -> Any:
 
 
 @compiled
-def copy_row(source: Any, offset: int, results: Any, row: int, first: int, count: int, unit: float) -> Any:
-    """Copy a row of a block, times a unit, into a row of the results; tells whether a number in it is not finite."""
-    target = results[row, first : first + count]
-    values = source[offset : offset + count]
-    unsound = np.int32(0)
-    for i in range(count):
-        value = values[i]
-        target[i] = np.float64(value) * unit
-        unsound |= np.int32(value - value != 0)
-    return unsound
+def tell_row(source: Any, target: Any, count: int, unit: Any) -> None:
+    """Write the first ``count`` numbers of a row, times a unit, to others; a whole row at its best."""
+    if count == LANES:
+        for i in range(LANES):
+            target[i] = np.float64(source[i]) * unit
+    else:
+        for i in range(count):
+            target[i] = np.float64(source[i]) * unit
 
 
 @compiled
-def report_block(plant: Any, lanes: Any, work: Any, results: Any, first: int, count: int) -> int:
+def result_row(plant: Any, row: int, first: int) -> Any:
+    """Where a row of the results has the environment ``first``."""
+    return row_of(pointer(plant.results, 0.0), row * plant.environments + first)
+
+
+@compiled
+def report_block(plant: Any, lanes: Any, work: Any, first: int, count: int) -> int:
     """Write reward, mean squares, damping and operating point of the finished interval.
 
     Returns:
         The first environment of the block in which a number is not finite, or -1.
     """
     weights, units = pointer(plant.weights, 0.0), pointer(plant.square_units, 0.0)
-    infinite, cost = pointer(plant.infinite, np.int64(0)), signal_row(plant)
-    fresh, unsound = True, np.int32(0)
+    infinite = pointer(plant.infinite, np.int64(0))
+    cost, total = row_of(work, signal_row(plant)), row_of(work, signal_row(plant) + LANES)
+    fresh = True
     for k in range(plant.signals):
-        square, weight = square_row(plant, k), like(lanes, -weights[k])
-        unsound |= copy_row(work, square, results, SQUARES + k, first, count, units[k])
+        square, weight = row_of(work, square_row(plant, k)), like(lanes, -weights[k])
+        tell_row(square, result_row(plant, SQUARES + k, first), count, units[k])
+        add_row(total, square, like(lanes, 1.0), k == 0)
         if weight != 0:
-            add_row(row_of(work, cost), row_of(work, square), weight, fresh)
+            add_row(cost, square, weight, fresh)
             fresh = False
-    unsound |= copy_row(work, cost, results, REWARD, first, count, 1.0)
+    tell_row(cost, result_row(plant, REWARD, first), count, 1.0)
+    rewards = row_of(pointer(plant.rewards, lanes), first)
+    for i in range(count):
+        rewards[i] = cost[i]
+    valve = valve_work(plant)
+    tell_row(row_of(work, valve + MEAN if plant.valve else DAMPING), result_row(plant, RESULT_DAMPING, first), count, 1.0)
     if plant.valve:
-        copy_row(work, valve_work(plant) + MEAN, results, RESULT_DAMPING, first, count, 1.0)
-        copy_row(work, valve_work(plant) + COMMAND, results, SQUARES + plant.signals, first, count, 1.0)
-    else:
-        copy_row(work, DAMPING, results, RESULT_DAMPING, first, count, 1.0)
-    copy_row(lanes, SPEED, results, RESULT_SPEED, first, count, plant.speed_unit)
-    copy_row(lanes, BANDWIDTH, results, RESULT_BANDWIDTH, first, count, 1.0)
-    found = -1
+        tell_row(row_of(work, valve + COMMAND), result_row(plant, SQUARES + plant.signals, first), count, 1.0)
+    tell_row(row_of(lanes, SPEED), result_row(plant, RESULT_SPEED, first), count, plant.speed_unit)
+    tell_row(row_of(lanes, BANDWIDTH), result_row(plant, RESULT_BANDWIDTH, first), count, 1.0)
+    # of numbers that are not finite, or too large together, the sum is not finite either
+    unsound, found = np.int32(0), -1
+    for i in range(LANES):
+        value = total[i] + cost[i]
+        unsound |= np.int32(value - value != 0)
     if unsound:
-        for i in range(first, first + count):
-            sound = np.isfinite(results[REWARD, i])
+        for i in range(count - 1, -1, -1):
+            sound = np.isfinite(cost[i])
             for k in range(plant.signals):
-                sound = sound and np.isfinite(results[SQUARES + k, i])
-            if not sound and found < 0:
-                found = i
+                sound = sound and np.isfinite(work[square_row(plant, k) + i])
+            if not sound:
+                found = first + i
     for k in range(plant.signals):
         if infinite[k]:
-            results[SQUARES + k, first : first + count] = np.inf
+            row = result_row(plant, SQUARES + k, first)
+            for i in range(count):
+                row[i] = np.inf
     return found

@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .cars import Car
-from .cars.varied import SERIES, VariedCar
+from .cars.varied import SERIES, VariedCar, in_terms_of
 from .compiled import LANES, compiled
+from .linear import Motion
 from .noise import CAR, philox, uniform
 from .parameters import RANGES, ParameterError, number, shown
 from .record import EPISODE, KEY
@@ -94,6 +95,11 @@ class Variation:
         """What a nominal damping ratio is multiplied by to be that of ``car``, 1."""
         own, nominal = car.damping_unit, self.car.damping_unit
         return 1.0 if own is None or nominal is None else nominal / own
+
+    def motion(self, values: Sequence[float]) -> Motion:
+        """The equations of the car with these values of the fields, in order, in terms of the nominal one."""
+        car, _ = self.drawn(values)
+        return in_terms_of(self.car, car, self.firmer(car))
 
     @property
     def driven_car(self) -> VariedCar:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -15,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, state_names
 from .moved import moved
 from .parameters import ParameterError, shown, single_precision, whole
-from .plant import CommandedInterval, Interval, Plant
+from .plant import Interval, Plant
 from .task import OPERATING_POINT, TaskParameters, make_task
 
 if TYPE_CHECKING:  # it loads pygame, which only those need who ask for pictures
@@ -53,7 +54,8 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             ignores its action, returns the first observation and the reward 0. SAME_STEP: at once; the last observation and the
             infos of the old episode are under "final_obs" and "final_info". DISABLED: when ``reset`` is called with the option
             "reset_mask", a boolean array of shape (num_envs,); until then it drives on, truncated in every step.
-        threads: number of threads; results do not depend on it. By default one a processor, where the batch is large enough.
+        threads: number of threads; results do not depend on it. By default one a processor, where the batch is
+            large enough, or fewer where OMP_NUM_THREADS says so.
 
     All others are the parameters of `roadgym.task.make_task`.
     """
@@ -93,6 +95,9 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             threads=None if threads is None else whole("threads", threads, of="threads"),
             told=True,
         )
+        told = (*self.task.car.mean_squares, "damping", *(() if self.task.ideal_valve else ("damping_command",)), "speed")
+        self._told = (*told, *(("bandwidth",) if self.task.bandwidth[1] > 0 else ()))
+        self._masks = tuple(f"_{name}" for name in (*self._told, *(self.task.vary.names if self.task.vary else ())))
         self._same_step = mode is AutoresetMode.SAME_STEP
         self._all = np.ones(self.num_envs, np.bool_)
         self.histories: list[History] = []  # of each environment, for pictures, where there is a render_mode
@@ -103,16 +108,11 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
 
     def _info(self, interval: Interval, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """What `QuarterCarEnv` tells, as arrays over the environments, with Gymnasium's masks."""
-        info: dict[str, Any] = dict(zip(self.task.car.mean_squares, interval.mean_squares, strict=True))
-        info["damping"] = interval.damping
-        if isinstance(interval, CommandedInterval):
-            info["damping_command"] = interval.command
-        info["speed"] = interval.speed
-        if self.task.bandwidth[1] > 0:
-            info["bandwidth"] = interval.bandwidth
+        info: dict[str, Any] = dict(zip(self._told, interval.rows()))  # noqa: B905  (the last, of no use to all, may be left)
         if self.task.vary is not None:
             info |= zip(self.task.vary.names, self.plant.drawn.copy(), strict=True)
-        return info | {"_" + name: mask for name in info}
+        info.update(dict.fromkeys(self._masks, mask))
+        return info
 
     def _forced(self, chosen: dict[str, Any]) -> npt.NDArray[np.float64]:
         """The operating points that the options fix, see `Plant.forced`; NaN too where one of them is None."""
@@ -226,7 +226,7 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         if not self.plant.started:
             raise ResetNeeded("call reset before step")
         damping = single_precision("actions", actions, (self.num_envs, 1))
-        if not np.isfinite(damping).all():
+        if not math.isfinite(np.dot(damping[:, 0], damping[:, 0])) and not np.isfinite(damping).all():  # a sum, and who is it
             raise ParameterError(f"actions must be finite, got {damping[~np.isfinite(damping)][0]} among them")
         interval = self.plant.step(damping.reshape(-1)) if self.render_mode is None else self._trace(damping.reshape(-1))
         truncated, info = interval.truncated, self._info(interval, self._all.copy())
@@ -236,5 +236,4 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None, object), truncated.copy()
             for i in np.flatnonzero(truncated):
                 info["final_obs"][i] = interval.final_observations[i]
-        rewards = interval.reward.astype(self.plant.dtype)
-        return interval.observations, rewards, np.zeros(self.num_envs, np.bool_), truncated, info
+        return interval.observations, interval.rewards, np.zeros(self.num_envs, np.bool_), truncated, info

@@ -112,7 +112,7 @@ class KalmanObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
     Args:
         env: a `roadgym` environment, whose observation nothing has changed.
         deviations: show after the means their standard deviations too.
-        hypotheses: as of `roadgym.kalman.KalmanFilter`, where the operating point is hidden.
+        hypotheses: as of `roadgym.kalman.KalmanFilter`, where the operating point is hidden, or cars vary.
 
     Raises:
         ParameterError: a plant that is not linear, no measured signal, or ``deviations`` that are neither True nor False.

@@ -29,6 +29,12 @@ PLANTS = {
     "weighted": {"road": "iso_c", "car": "two_mass", "speed": (15.0, 25.0), "reward": {"weighted_acceleration": 1.0}},
     "white": {"road": "harmonic", "speed_noise": "white", "speed": (0.5, 2.0)},
     "low-pass": {"road": "harmonic", "speed_noise": "low_pass", "observation": ["travel", "relative_velocity", "speed"]},
+    "slow valve": {
+        "road": "gaussian",
+        **RANGES,
+        "observation": ["acceleration", "travel"],
+        "valve": {"delay": 0.25, "rise_time": 0.1, "fall_time": 0.05},
+    },
 }
 
 
@@ -49,12 +55,13 @@ def test_what_was_driven_is_driven_again(plant):
     _, roads = driven(plant, noise=0.0, policy_kwargs={"net_arch": [8]})
     step, rows = 4, slice(None)
     car, ends, place = roads._car[step], roads._ends[step], torch.from_numpy(roads._places[step])
-    moved, cost = roads._interval(car, ends, place)
+    moved, cost = roads._moved(car, roads._forced[step], place), roads._cost(car, ends, place)
     scale = roads._car.abs().mean()
-    assert (moved + roads._left[step] - roads._car[step + 1]).abs().max() < 1e-5 * scale
-    assert (moved - roads._car[step + 1]).abs().mean() < 0.05 * scale  # of the road between the ends little is left out
+    assert (moved - roads._car[step + 1]).abs().max() < 1e-5 * scale
+    assert roads._left[step].abs().mean() < 0.05 * scale  # of the road between the ends little is left out
     roads._look(roads._states[step, :, -3:-1])
-    seen = roads._sees(roads._car[step + 1], place, step + 1, rows, None)
+    held = place if roads._valve is None else roads._valve.begin(step + 1, rows)[:, 0]
+    seen = roads._sees(roads._car[step + 1], held, step + 1, rows, None)
     np.testing.assert_allclose(seen, roads._seen[step + 1], rtol=1e-3, atol=1e-3)
     assert float(cost.mean()) > 0
 
@@ -75,9 +82,7 @@ def test_costs_of_intervals_are_those_of_the_environment(plant):
         roads.answer(step, seen, action, ended)
     roads.note(120, *envs.road_and_car())
     roads.finish()
-    _, cost = roads._interval(
-        roads._car[:-1].flatten(0, 1), roads._ends.flatten(0, 1), torch.from_numpy(roads._places).flatten()
-    )
+    cost = roads._cost(roads._car[:-1].flatten(0, 1), roads._ends.flatten(0, 1), torch.from_numpy(roads._places).flatten())
     modelled = cost.numpy().reshape(120, 64)
     assert modelled[40:].mean() == pytest.approx(-paid[40:].mean(), rel=0.03)
     assert np.corrcoef(modelled[40:].ravel(), paid[40:].ravel())[0, 1] < -0.99
@@ -108,8 +113,28 @@ def test_what_another_damping_does_to_the_car_is_what_the_environment_does():
         ends.append(roads)
     first, second = ends
     changed = second._car[41] - first._car[41]
-    moved = [first._interval(first._car[40], first._ends[40], torch.full((64,), place))[0] for place in (-0.2, 0.2)]
+    moved = [first._moved(first._car[40], first._forced[40], torch.full((64,), place)) for place in (-0.2, 0.2)]
     assert (moved[1] - moved[0] - changed).abs().max() < 0.03 * changed.abs().max()
+
+
+@pytest.mark.parametrize("valve", [PLANTS["slow valve"]["valve"], {"levels": 3, "delay": 0.4}, {"levels": 4, "rise_time": 0.1}])
+def test_a_valve_in_torch_is_that_of_the_environment(valve):
+    envs = QuarterCarVecEnv(16, max_episode_steps=7, environment=PLANTS["bounded"] | {"valve": valve}, features=["signals"])
+    seen, roads, rng = envs.reset(), envs.driven_roads(10), np.random.default_rng(1)
+    low, high = envs.task.damping_range
+    for step in range(10):  # beyond the end of an episode
+        roads.note(step, *envs.road_and_car())
+        action = rng.uniform(-1, 1, (16, 1)).astype(np.float32)
+        _, _, ended, infos = envs.step(action)
+        roads.answer(step, seen, action, ended)
+        in_force = low + (high - low) * (roads._valve._now[:, 0].numpy() + 1) / 2
+        np.testing.assert_allclose(in_force, envs.envs.plant.row("damping"), atol=1e-6)
+        means = low + (high - low) * (roads._places[step] + 1) / 2
+        np.testing.assert_allclose(means, [info["damping"] for info in infos], atol=1e-6)
+    command = torch.zeros(16, requires_grad=True)
+    mean, after = roads._valve(roads._valve._now, command)
+    (mean + after.sum(1)).sum().backward()
+    assert float(command.grad.min()) > 0  # also through levels
 
 
 @pytest.mark.parametrize("plant", ["comfort", "two masses"])
@@ -130,7 +155,8 @@ def test_features_in_torch_are_those_that_the_agent_sees(features):
     observations = np.random.default_rng(0).uniform(0.1, 0.7, (20, 7)).astype(np.float32)
     lookahead = sight.features.lookahead
     forms = np.empty((20, 0)) if lookahead is None else lookahead.forms(observations[:, lookahead.point])
-    seen = Seen(sight.features, 7)(torch.from_numpy(observations), torch.from_numpy(forms))
+    shown = Seen(sight.features, 7)
+    seen = shown(torch.from_numpy(observations), shown.of_pairs(torch.from_numpy(forms)))
     np.testing.assert_allclose(seen, sight(observations, None), rtol=1e-5, atol=1e-5)
 
 
@@ -158,10 +184,11 @@ def test_it_is_what_is_trained_where_nothing_is_chosen(tmp_path):
     assert [agent.description[name] for name in ("algorithm", "training_reward")] == ["apg", "gradient"]
     assert theory_given(agent).startswith("learned from the cost, differentiated through the plant")
     ideal = make_task(**PLANTS["white"])
-    slow, noisy = make_task(valve={"delay": 0.2}), make_task(sensors={"noise": 0.1})
+    slow, noisy = make_task(valve={"delay": 0.2, "rate": 1.0}), make_task(sensors={"noise": 0.1})
     assert usual_algorithm(ideal, True) == usual_algorithm(ideal, False, ["module:Wrapper"]) == "ppo"
     assert usual_algorithm(slow, False) == usual_algorithm(noisy, False) == "ppo"
     assert usual_algorithm(noisy, False, (), "kalman") == "apg"
+    assert usual_algorithm(make_task(valve={"delay": 0.2, "levels": 4}), False) == "apg"
     hidden, late = make_task(speed=(0.7, 3.0), observe_operating_point=False), make_task(sensors={"delay": 0.2})
     for task in (slow, hidden, late):
         assert usual_algorithm(task, False, (), "kalman") == "ppo"

@@ -240,6 +240,7 @@ def test_front_door_gives_the_largest_and_says_how_far_it_is_to_be_trusted():
         ({"speed": 1.0, "bandwidth": 0.1, "seed": -1}, "seed must be at least 0, got -1"),
         ({"speed": 1.0, "bandwidth": 0.1, "threads": 0}, "threads must be at least 1, got 0"),
         ({"speed": 1.0, "bandwidth": 0.1, "cache": 3}, "cache must be a folder or None, got 3"),
+        ({"speed": 1.0, "bandwidth": 0.1, "report": 5}, "report must be a function or None, got 5"),
     ],
 )
 def test_bad_input_is_told_in_one_line(arguments, message):
@@ -257,6 +258,9 @@ def test_where_there_is_no_bound_the_reason_is_told_without_raising_or_with():
     with pytest.raises(ParameterError, match=r"there is no lower bound for this task: .*white noise on the speed"):
         analysis.lower_bound(task)
     assert refusal(make_task(road="gaussian", speed=1.0)) is None
+    varied = make_task(car="two_mass", road="iso_c", speed=20.0, vary={"sprung_mass": (200.0, 280.0)})
+    for method in METHODS.values():  # past the front door too
+        assert "cars that differ" in method.refusal(varied)
     slow = make_task(road="gaussian", speed=1.0, valve={"rise_time": 0.1})
     assert refusal(slow) is None  # the damping may move at any time
     assert "an ideal valve" in refusal(slow, "information_relaxation")

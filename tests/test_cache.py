@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from unittest import mock
 
 import numba
 import numpy as np
@@ -14,17 +15,17 @@ import pytest
 
 import roadgym
 from agents.cli import main
-from roadgym import cache, kernel
+from roadgym import cache, compiler, kernel
 
 PACKAGE = Path(roadgym.__file__).parent
-# signal_row is in signals.py, it is computed from a constant of compiled.py
+# state_row is in signals.py, it is computed from a constant of compiled.py
 SCRATCH = """
 import numpy as np, roadgym
 from roadgym import record, signals
 assert roadgym.__file__.startswith({0!r}), roadgym.__file__
 plant = np.zeros(1, record.PLANT)
-plant["signals"] = 20
-print(signals.signal_row(plant[0]), len(signals.signal_row.stats.cache_hits))
+plant["own_states"] = 30
+print(signals.state_row(plant[0], 20), len(signals.state_row.stats.cache_hits))
 """
 
 
@@ -62,11 +63,10 @@ def test_edit_of_another_module_is_compiled_anew(copy, tmp_path):
     assert len(list((tmp_path / "kept" / "roadgym" / "compiled").iterdir())) == 2
 
 
-def test_compiling_the_kernel_is_told_once(place, monkeypatch, caplog):
+def test_compiling_the_kernel_is_told_once(monkeypatch, caplog):
     monkeypatch.setattr(cache, "_told", False)
     for _ in range(2):
-        code = cache.CodeCache(kernel.step_blocks.py_func)
-        assert code.load_overload("a signature", kernel.step_blocks.targetctx) is None
+        cache.Kept(kernel.step_blocks.function).tell()
     assert caplog.messages == ["compiling the plant, once: up to half a minute"]
 
 
@@ -104,11 +104,9 @@ def doubled(folder, text=MODULE):
     names = {"__name__": "own"}
     exec(compile(text, folder / "own.py", "exec"), names)
     lanes, words = np.ones(64), np.zeros(64, np.uint32)
-    names["double"].address(np.float64)
-    callback = names["double"]._compiled[np.dtype(float)]
-    pointers = [array.ctypes.data_as(kind) for array, kind in zip((lanes, words, lanes), callback.ctypes.argtypes, strict=True)]
-    callback.ctypes(*pointers)
-    return lanes[0], callback.cache_hits
+    with mock.patch.object(compiler, "lane_code", wraps=compiler.lane_code) as made:
+        names["double"].entry(np.float64)(lanes.ctypes.data, words.ctypes.data, lanes.ctypes.data)
+    return lanes[0], 1 - made.call_count
 
 
 def test_damaged_code_is_compiled_anew_and_own_roads_are_kept_too(place, tmp_path):
@@ -164,3 +162,13 @@ def test_function_without_a_file_is_compiled_all_the_same(place):
         exec(MODULE, names)
         assert names["double"].address(np.float64)
     assert not list(place.rglob("*.code"))
+
+
+def test_a_step_needs_no_numba_once_it_is_compiled():
+    """To load numba takes longer than all else from the start of a process to its first step."""
+    code = (
+        "import sys, gymnasium as g; e = g.make('roadgym:roadgym/QuarterCar-v0'); e.reset(seed=0); "
+        "e.step(e.action_space.sample()); print(*{'numba', 'scipy'} & set(sys.modules))"
+    )
+    said = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout for _ in range(2)]
+    assert said[1] == "\n"

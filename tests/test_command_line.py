@@ -147,7 +147,8 @@ def test_training_leaves_no_temporary_folder(place, monkeypatch):
 
 def start(*arguments, folder):
     """A command in a process of its own, which has begun when this returns."""
-    code = "import sys, agents.cli; print(flush=True); sys.exit(agents.cli.main(sys.argv[1:]))"
+    heed = "signal.signal(signal.SIGINT, signal.default_int_handler)"  # whoever runs the tests may ignore it, as nohup does
+    code = f"import signal, sys, agents.cli; {heed}; print(flush=True); sys.exit(agents.cli.main(sys.argv[1:]))"
     command = [sys.executable, "-c", code, *arguments]
     working = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     working.stdout.readline()

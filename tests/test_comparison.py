@@ -336,7 +336,6 @@ def test_command_line_goes_the_whole_way(tmp_path, capsys, monkeypatch):
         (["compare", "--agent", "x/agent", "y/agent", "./x/agent"], "the same folder twice, 'x/agent' and './x/agent'"),
         (["compare", "--output", "file"], "'file' is not a folder"),
         (["train", "--output", "file"], "'file' is not a folder"),
-        (["tune", "--storage", ".", "--trials", "1"], "cannot use '.' as a study: it is a folder"),
         (["tune", "--storage", "s.db", "--output", "."], "cannot write '.': '.' is a folder"),
         (["tune", "--storage", "s.db", "--output", "file/best.yaml"], "cannot write 'file/best.yaml': 'file' is not a folder"),
         (["figures", "--output", "file"], "the folder file cannot be written: 'file' is not a folder"),

@@ -6,6 +6,7 @@ import torch
 from gradients import check_gradient
 
 import agents
+from agents.differentiable_filter import DrivenFilter
 from agents.evaluation import evaluate
 from agents.training import load_hyperparameters, make_model
 from agents.vec_env import QuarterCarVecEnv
@@ -23,9 +24,9 @@ PLANTS = {
 SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "gradient_steps": 4, "features": ["products"], "estimator": "kalman"}
 
 
-def driven(environment, steps, last=None, seed=3, number=32):
+def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman"):
     """What a batch drove, with dampings all over the range; ``last`` is the place of that of the last interval."""
-    envs = QuarterCarVecEnv(number, environment=environment, features=["signals"], estimator="kalman")
+    envs = QuarterCarVecEnv(number, environment=environment, features=["signals"], estimator=estimator)
     envs.seed(seed)
     seen, rng = envs.reset(), np.random.default_rng(1)
     roads = envs.driven_roads(steps)
@@ -65,10 +66,21 @@ def test_what_another_damping_does_to_what_is_known_is_what_the_filter_does():
     told = []
     for place, after in zip((-0.2, 0.2), follow, strict=True):
         places = torch.full((32,), place)
-        car = roads._interval(roads._car[39], roads._ends[39], places)[0] + roads._left[39]
+        car = roads._moved(roads._car[39], roads._forced[39], places)
         told.append(roads._sees(car, places, 40, slice(None), after).numpy())
     changed = second - first
     assert np.abs(told[1] - told[0] - changed).max() < 0.03 * np.abs(changed).max()
+
+
+def test_first_the_state_is_known_and_then_what_the_filter_makes_of_sensors(monkeypatch):
+    (roads, _), (plain, _) = driven(PLANTS["bounded"], 12), driven({"road": "multiplicative", **RANGES}, 12, estimator=None)
+    seen = roads._sees(roads._car[11], torch.from_numpy(roads._places[10]), 11, slice(None), None)
+    np.testing.assert_allclose(seen, plain._seen[11], rtol=1e-4, atol=1e-4)  # that of a batch with no sensors
+    begun = []
+    monkeypatch.setattr(DrivenFilter, "begin", lambda driven, *_: begun.append(model.num_timesteps))
+    model = make_model("apg", load_hyperparameters("apg") | SMALL | {"state_known": 0.5}, PLANTS["bounded"], 3, None)
+    model.learn(4 * 512)
+    assert begun == [3 * 512] * 4 + [4 * 512] * 4
 
 
 @pytest.mark.parametrize("plant", ["bounded", "two masses"])

@@ -67,6 +67,18 @@ def test_an_accelerometer_closes_most_of_the_gap():
     assert share + 4 * error < 1
 
 
+@pytest.mark.statistical
+def test_a_bank_over_cars_saves_what_the_filter_of_the_nominal_car_loses():
+    nominal = make_task(**POINT, **SENSORS)
+    varied = {**POINT, **SENSORS, "vary": {"natural_frequency": (0.6, 1.4)}}
+    rule = agents.make_controller("mixed_lookahead", make_task(**POINT))
+    drivers = {"bank": Estimated(rule, make_task(**varied)), "nominal": Estimated(rule, nominal)}
+    found = agents.evaluate(drivers, environment=varied, speeds=[1.5], bandwidths=[0.1], episodes=64, duration=60.0)
+    saved = found["nominal"].costs[0] - found["bank"].costs[0]  # the same cars on the same roads
+    assert saved.mean() > 4 * saved.std() / np.sqrt(len(saved))
+    assert found["bank"].mean[0] < 0.75 * found["nominal"].mean[0]
+
+
 @pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"groundhook", "hybrid", "optimal_feedback"}))
 def test_every_rule_takes_a_car_with_sensors(name):
     task = make_task(**POINT, **SENSORS)

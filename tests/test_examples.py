@@ -1,6 +1,7 @@
 """The worked examples run at a small size, and the snippets of the documentation print what it says."""
 
 import doctest
+import importlib.util
 import math
 import os
 import re
@@ -22,8 +23,8 @@ SNIPPETS = {
 }
 
 
-def run(script, *arguments, folder):
-    command = [sys.executable, "-W", "error", ROOT / "examples" / script, *arguments]
+def run(script, *arguments, folder, warnings="error"):
+    command = [sys.executable, "-W", warnings, ROOT / "examples" / script, *arguments]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}  # small networks are fastest on one thread
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
     assert done.returncode == 0, done.stderr
@@ -47,13 +48,17 @@ def test_train_and_compare(tmp_path):
 
 
 def test_slow_valves(tmp_path):
-    few = ("--lags", "30", "--delays", "--levels", "2", "--rules", "clipped_lqr", "--episodes", "16", "--duration", "1")
-    first, head, *rows = run("slow_valves.py", *few, folder=tmp_path).splitlines()
+    few = ("--lags", "30", "--delays", "--levels", "--rules", "clipped_lqr", "--episodes", "16", "--duration", "1")
+    first, head, *rows = run(
+        "slow_valves.py", *few, "--agents", "--timesteps", "1", "--output", "a", folder=tmp_path
+    ).splitlines()
     assert re.fullmatch(r"the best constant damping costs \S+; over it", first)
-    assert head.split() == ["clipped_lqr"]
+    assert head.split() == ["clipped_lqr", "agent,", "unaware", "agent,", "aware"]
     found = {row[:15].strip(): [float(word) for word in row[15:].split() if word != "±"] for row in rows}
-    assert list(found) == ["ideal", "lag 30 ms", "2 levels"]
-    (ideal, error), (slow, its_own) = found["ideal"], found["lag 30 ms"]
+    assert list(found) == ["ideal", "lag 30 ms"]
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["ideal", "lag-30-ms"]
+    (ideal, error, *unaware, _, _), (slow, its_own, *_) = found["ideal"], found["lag 30 ms"]
+    assert unaware == found["ideal"][4:]  # the same agent
     assert abs(ideal - 0.714) < 0.03 + 4 * error
     assert slow - ideal > 0.05 - 3 * (error + its_own)
 
@@ -114,16 +119,45 @@ def test_measured_road(tmp_path):
 
 def test_one_accelerometer(tmp_path):
     size = ("--rule", "mixed_lookahead", "--noises", "0.05", "--episodes", "16", "--duration", "20")
-    output = run("one_accelerometer.py", *size, "--sensors", "all", "acceleration", folder=tmp_path)
+    learned = ("--agents", "stacked", "--timesteps", "1", "--output", "agents")
+    output = run("one_accelerometer.py", *size, *learned, "--sensors", "all", "acceleration", folder=tmp_path)
     at, _, *rows = output.splitlines()
     best, known = (float(text) for text in re.search(r"constant damping (\S+), mixed_lookahead (\S+)", at).groups())
-    shares = []
+    shares = {}
     for row in rows:
-        cost, share, error = (float(text) for text in re.search(r"0\.05: (\S+) \((\S+) ± (\S+) %\)$", row).groups())
+        who, *numbers, mean = re.search(r"0\.05 +(.*): (\S+) \((\S+) ± (\S+) %\), mean (\S+) ± ", row).groups()
+        cost, share, error = map(float, numbers)
         assert share == pytest.approx(100 * (best - cost) / (best - known), abs=0.1)
+        assert float(mean) == share  # of one point
         assert 0 < error < 10
-        shares.append(share)
-    assert 60 < shares[1] < shares[0] < 105
+        shares.setdefault(who, []).append(share)
+    assert 60 < shares["rule on the filter"][1] < shares["rule on the filter"][0] < 105
+    assert max(shares["stacked"]) < 60  # which has hardly learned
+
+
+# sizes that take seconds, and the smallest share of the gap then, in per cent; one that has learned nothing is at -5
+LEARNERS = {
+    "skrl": ("with_skrl.py", "--timesteps", "32768", 10),
+    "stable_baselines3": ("with_stable_baselines3.py", "--timesteps", "4096", -10),
+    "sbx": ("with_stable_baselines3.py", "--package=sbx", "--timesteps", "65536", 10),
+    "torchrl": ("with_torchrl.py", "--timesteps", "32768", 10),
+    "ray+ormsgpack": ("with_rllib.py", "--timesteps", "65536", 10),
+    "minari+jax+h5py": ("with_minari.py", "--drives", "10", 60),
+}
+
+
+@pytest.mark.parametrize("packages", LEARNERS)  # what a library needs of its own extras beside itself
+def test_other_libraries_learn(packages, tmp_path):
+    for package in packages.split("+"):
+        if not importlib.util.find_spec(package):
+            pytest.skip(f"{package} is not installed")
+    script, *size, least = LEARNERS[packages]
+    # each of them warns of itself with one release or another of what it stands on
+    output = run(f"learners/{script}", *size, "--episodes", "16", folder=tmp_path, warnings="default")
+    share, error = (float(text) for text in re.search(r"closes (\S+) ± (\S+) % of the gap", output).groups())
+    assert 0 < error < 2
+    assert least < share < 100
+    assert ("the environment is recovered: True" in output) == (script == "with_minari.py")
 
 
 def test_a_rule_made_for_one_road_sees_another_in_its_terms():

@@ -12,7 +12,8 @@ from test_export import CC, STRICT, by_onnx, driven, driven_both, in_python, nee
 
 import agents
 from agents.export import export
-from agents.export.filtering import Equations
+from agents.export.filtering import estimate
+from agents.export.program import Memory, given
 from roadgym.kalman import KalmanFilter
 from roadgym.task import make_task
 
@@ -41,6 +42,17 @@ CASES = {
             **TWO,
             "observe_operating_point": False,
             "valve": {"delay": 0.3, "rate": 3.0, "rise_time": 0.05, "fall_time": 0.03},
+        },
+        {},
+    ),
+    "a bank over cars that vary and speeds": (
+        {
+            "road": "gaussian",
+            "speed": [0.7, 2.0],
+            "bandwidth": 0.2,
+            **TWO,
+            "observe_operating_point": False,
+            "vary": {"natural_frequency": [0.6, 1.4]},
         },
         {},
     ),
@@ -177,11 +189,17 @@ def test_the_header_tells_the_size_of_what_is_remembered(filters, tmp_path):
     assert "NaN counts as not measured" in header
 
 
-def test_a_filter_that_cannot_be_exported_is_told_in_one_line():
-    with pytest.raises(
-        agents.AgentError, match="no polynomials of speed and bandwidth, as after a warm-up: fix both, or"
-    ) as caught:
-        Equations(KalmanFilter(make_task(**RANGE, **TWO, warm_up=5.0)))
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({**RANGE, "warm_up": 5.0}, "no polynomials of speed and bandwidth, as after a warm-up: fix both, or"),
+        ({**FIXED, "vary": {"valve.delay": [0.0, 0.2]}}, "over valves that vary: vary the car alone"),
+    ],
+)
+def test_a_filter_that_cannot_be_exported_is_told_in_one_line(changes, message):
+    known = KalmanFilter(make_task(**{**changes, **TWO}))
+    with pytest.raises(agents.AgentError, match=message) as caught:
+        estimate(known, given("observation", (len(known.task.signals),)), Memory())
     assert "\n" not in str(caught.value)
 
 

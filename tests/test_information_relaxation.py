@@ -240,7 +240,7 @@ def test_the_method_at_an_operating_point_of_a_task_with_ranges(small, monkeypat
     ("plant", "reason"),
     [
         ({"road": "first_order"}, "a Gaussian road, or a bounded one on a circle"),
-        ({"road": "harmonic", "speed_noise": {"kind": "white", "intensity": 0.1}}, "no noise on the speed"),
+        ({"road": "harmonic", "speed_noise": {"kind": "white", "intensity": 0.1}}, "white noise on the speed"),
         ({"road": "iso_c", "car": "two_mass", "speed": 20.0}, "the car of one mass"),
     ],
 )

@@ -168,7 +168,10 @@ def test_extras_are_those_that_messages_name():
 def test_lower_bounds_are_those_that_are_tried():
     lines = (ROOT / "constraints-floor.txt").read_text(encoding="utf-8").splitlines()
     tried = {canonicalize_name(name): version for name, _, version in (line.partition("==") for line in lines) if version}
-    required = [*PROJECT["dependencies"], *(line for extra in EXTRAS for line in PROJECT["optional-dependencies"][extra])]
+    required = [
+        *PROJECT["dependencies"],
+        *(line for extra in (*EXTRAS, "ray", "slurm") for line in PROJECT["optional-dependencies"][extra]),
+    ]
     for requirement in map(Requirement, required):
         if requirement.name != "roadgym":
             (bound,) = requirement.specifier

@@ -60,6 +60,7 @@ PLACES = {  # what an executor is told, and the package that it needs
 }
 
 
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")  # Ray leaves files
 @pytest.mark.parametrize("on", PLACES)
 def test_jobs_are_done_once_and_like_everywhere(on, tmp_path, capfd):
     """Workers give what this process gives, on one thread each; a job that fails or kills one of them stops no other."""

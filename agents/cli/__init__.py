@@ -1,8 +1,8 @@
-"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``drive``, ``export``, ``certify``, ``road``,
-``benchmark``, ``figures``, ``explore``, ``errata`` and ``cache``.
+"""The command line: ``roadgym train``, ``tune``, ``evaluate``, ``compare``, ``sweep``, ``suite``, ``drive``, ``export``,
+``certify``, ``road``, ``benchmark``, ``figures``, ``explore``, ``errata`` and ``cache``.
 
-Exit codes: 0 success, 1 a plant or a profile that is not certified, 2 a wrong argument, a file that cannot be read or written,
-or a missing package (one line says which), 130 interrupted, 143 terminated.
+Exit codes: 0 success, 1 a plant or a profile that is not certified or part of a sweep that failed, 2 a wrong argument, a file
+that cannot be read or written, or a missing package (one line says which), 130 interrupted, 143 terminated.
 """
 
 from __future__ import annotations
@@ -92,9 +92,7 @@ def _remedy(chosen: argparse.Namespace) -> str:
     if chosen.command == "train":
         saved = (Path(chosen.output) / DESCRIPTION).exists()
         return "; --resume goes on from the last checkpoint" if saved else "; nothing was saved yet"
-    return {"compare": "; the same command goes on", "tune": "; the same command goes on with the study"}.get(
-        chosen.command, ""
-    )
+    return "; the same command goes on" if chosen.command in ("compare", "sweep", "tune") else ""
 
 
 def _fault(command: str, message: str) -> int:

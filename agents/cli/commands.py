@@ -7,7 +7,7 @@ import contextlib
 import itertools
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from .options import environment_from, given_environment, refuse, refuse_environ
 DESCRIPTION = "agent.json"
 
 
-def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, Any]:
+def grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, Any]:
     """The operating points that are chosen, or those of the paper where the environment has them, or others of its range."""
     from roadgym.task import make_task
 
@@ -36,7 +36,7 @@ def _grid(chosen: argparse.Namespace, environment: dict[str, Any]) -> dict[str, 
     return {"speeds": chosen.speeds or speeds, "bandwidths": chosen.bandwidths or bandwidths}
 
 
-def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
+def check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -> None:
     """Find fault with the evaluation before any long work."""
     from roadgym.kalman import KalmanFilter
     from roadgym.parameters import whole
@@ -46,7 +46,7 @@ def _check_evaluation(chosen: argparse.Namespace, environment: dict[str, Any]) -
     from ..controllers import make_controller
     from ..evaluation import FEWEST_EPISODES, make_points
 
-    points = _grid(chosen, environment)
+    points = grid(chosen, environment)
     task = make_task(**observed_in_full(environment))
     if task.bandwidth[1] == 0:
         refuse(chosen, ["bandwidths"], f"on a {task.road.kind} road, which has no bandwidth")
@@ -74,7 +74,7 @@ def _hyperparameters(chosen: argparse.Namespace) -> dict[str, Any]:
     return with_wrappers(_loaded(chosen), chosen.wrapper)
 
 
-def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]) -> None:
+def choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]) -> None:
     """Fill in the algorithm where none is named."""
     from roadgym.task import make_task
 
@@ -85,31 +85,30 @@ def _choose_algorithm(chosen: argparse.Namespace, environment: Mapping[str, Any]
         chosen.algorithm = usual_algorithm(make_task(**environment), other, chosen.wrapper, estimator)
 
 
-def _train(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any] | None, *, seed: int, resume: bool) -> Any:
-    """Train an agent, or go on with it: then what is given must be what it was trained with."""
-    from ..training import train
+def training_options(
+    chosen: argparse.Namespace, environment: dict[str, Any] | None, *, seed: int, resume: bool
+) -> dict[str, Any]:
+    """What `agents.train` is told; to go on with an agent, what is given, which must be what it was trained with."""
 
     def given(value: Any, name: str) -> Any:
         return value if not resume or name in chosen.given else None
 
-    return train(
-        folder,
-        algorithm=given(chosen.algorithm, "algorithm"),
-        environment=environment,
-        hyperparameters=given(_loaded(chosen), "hyperparameters"),
-        wrappers=chosen.wrapper,
-        seed=given(seed, "seed"),
-        timesteps=chosen.timesteps,
-        checkpoint_interval=chosen.checkpoint_interval,
-        resume=resume,
-        imports=chosen.imports,
-        tensorboard=getattr(chosen, "tensorboard", False),
-    )
+    return {
+        "algorithm": given(chosen.algorithm, "algorithm"),
+        "environment": environment,
+        "hyperparameters": given(_loaded(chosen), "hyperparameters"),
+        "wrappers": chosen.wrapper,
+        "seed": given(seed, "seed"),
+        "timesteps": chosen.timesteps,
+        "checkpoint_interval": chosen.checkpoint_interval,
+        "imports": chosen.imports,
+    }
 
 
 def run_train(chosen: argparse.Namespace) -> None:
     """``roadgym train``."""
     from ..agent import read_description
+    from ..training import train
 
     folder = Path(chosen.output)
     if chosen.resume:
@@ -118,8 +117,9 @@ def run_train(chosen: argparse.Namespace) -> None:
         environment = {**known, **given_environment(chosen)}
     else:
         environment = environment_from(chosen)
-    _choose_algorithm(chosen, environment)
-    agent = _train(chosen, folder, environment, seed=chosen.seed, resume=chosen.resume)
+    choose_algorithm(chosen, environment)
+    options = training_options(chosen, environment, seed=chosen.seed, resume=chosen.resume)
+    agent = train(folder, **options, resume=chosen.resume, tensorboard=chosen.tensorboard)
     print(f"trained for {agent.description['timesteps']} steps: {folder}")
 
 
@@ -175,7 +175,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
         else:
             refuse_observation(chosen)
             controller = make_controller(name, make_task(**observed_in_full(environment)))
-    _check_evaluation(chosen, environment)
+    check_evaluation(chosen, environment)
     with work_progress() as report:
         result = evaluate(
             {name: controller},
@@ -183,7 +183,7 @@ def run_evaluate(chosen: argparse.Namespace) -> None:
             episodes=chosen.episodes,
             seed=chosen.seed,
             report=report,
-            **_grid(chosen, environment),
+            **grid(chosen, environment),
         )[name]
     rows = [
         {
@@ -237,10 +237,10 @@ def run_compare(chosen: argparse.Namespace) -> None:
         kinds = [_kind(agent.description) for agent in loaded.values()]
     else:
         learned, environment = {AGENT: []}, environment_from(chosen)
-        _choose_algorithm(chosen, environment)
+        choose_algorithm(chosen, environment)
         seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
         kinds = [_asked(chosen, environment)]
-    _check_evaluation(chosen, environment)
+    check_evaluation(chosen, environment)
     check_bound(chosen.bound)
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
@@ -249,15 +249,14 @@ def run_compare(chosen: argparse.Namespace) -> None:
 
         check_seed(seeds[-1])
     folder = make_folder(_results_folder(chosen, kinds))
-    steps, watch = len(seeds) + 2, Stopwatch()
+    steps, watch = 3 if seeds else 2, Stopwatch()
     with locked(folder / LOCK, "comparison"):
         remove_parts(folder)
         QuarterCarVectorEnv(1, **environment).reset(seed=0)  # which compiles the plant where it is not
         watch.note("compiling")
-        for number, seed in enumerate(seeds, 1):
-            place = folder / f"agent-{seed}"
-            _tell(f"step {number} of {steps}: training {place}")
-            learned[AGENT].append(_train(chosen, place, environment, seed=seed, resume=(place / DESCRIPTION).exists()))
+        if seeds:
+            _tell(f"step 1 of {steps}: training {', '.join(str(folder / f'agent-{seed}') for seed in seeds)}")
+            learned[AGENT] = _trained(chosen, folder, environment, seeds)
             watch.note("training")
         _tell(f"step {steps - 1} of {steps}: driving")
         with work_progress() as report:
@@ -275,7 +274,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
                 bound=chosen.bound,
                 estimator=chosen.estimator,
                 report=tell,
-                **_grid(chosen, environment),
+                **grid(chosen, environment),
             )
         watch.note("driving")
         print(comparison.to_json() if chosen.json else table(comparison), flush=True)  # before the files, which may fail
@@ -286,6 +285,24 @@ def run_compare(chosen: argparse.Namespace) -> None:
     _tell(f"took {watch}")
     for file in files:
         print(f"wrote {file}", file=sys.stderr)
+
+
+def _trained(chosen: argparse.Namespace, folder: Path, environment: dict[str, Any], seeds: Sequence[int]) -> list[Any]:
+    """The agents of all seeds, at once where several are to be begun."""
+    from ..agent import load
+    from ..jobs import executor
+    from ..sweep import train_agent
+    from ..training import train
+
+    places = {seed: folder / f"agent-{seed}" for seed in seeds}
+    there = {seed: (place / DESCRIPTION).exists() for seed, place in places.items()}
+    options = {seed: training_options(chosen, environment, seed=seed, resume=resume) for seed, resume in there.items()}
+    if list(there.values()).count(False) < 2:
+        return [train(places[seed], **options[seed], resume=there[seed]) for seed in seeds]
+    with executor(imports=chosen.imports) as processes:
+        for future in [processes.submit(train_agent, str(places[seed].resolve()), options[seed]) for seed in seeds]:
+            future.result()
+    return [load(place) for place in places.values()]
 
 
 def _tell(what: str) -> None:
@@ -404,7 +421,7 @@ def run_export(chosen: argparse.Namespace) -> None:
     source: Any = load(chosen.agent)
     if chosen.to == "table":
         environment = source.description["environment"]
-        _check_evaluation(chosen, environment)
+        check_evaluation(chosen, environment)
         with work_progress() as report:
             source = tabulate(
                 source,
@@ -412,7 +429,7 @@ def run_export(chosen: argparse.Namespace) -> None:
                 episodes=chosen.episodes,
                 seed=chosen.seed,
                 report=report,
-                **_grid(chosen, environment),
+                **grid(chosen, environment),
             )
         print(told(source), flush=True)
     else:

@@ -26,6 +26,8 @@ from .options import (
     weights,
 )
 from .road import run_road
+from .suite import add_suite
+from .sweep import run_sweep
 from .theory_commands import run_benchmark, run_cache, run_certify, run_errata, run_explore, run_figures
 
 CLASSICAL = ", ".join(name for name in CONTROLLERS_SHOWN if name != "agent")
@@ -36,9 +38,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="roadgym",
         description="Learn to damp a car on a random road, and know how far from the exact optimum you are.",
-        epilog="exit codes: 0 success; 1 a plant or a profile that is not certified; 2 a wrong argument, a file that cannot be "
-        "read or written, or a missing package (one line says which); 130 interrupted. Colours and bars on a terminal only, "
-        "and none with NO_COLOR.",
+        epilog="exit codes: 0 success; 1 a plant or a profile that is not certified, or part of a sweep that failed; 2 a wrong "
+        "argument, a file that cannot be read or written, or a missing package (one line says which); 130 interrupted. Colours "
+        "and bars on a terminal only, and none with NO_COLOR.",
     )
     parser.add_argument("--version", action="version", version=f"roadgym {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -58,7 +60,13 @@ def make_parser() -> argparse.ArgumentParser:
         "search for hyperparameters; the same command goes on with a study that was interrupted",
         "roadgym tune --algorithm ppo --storage study.db --output best.yaml",
     )
-    tune.add_argument("--storage", type=nonempty, required=True, metavar="FILE", help="SQLite file of the study")
+    tune.add_argument(
+        "--storage",
+        type=nonempty,
+        required=True,
+        metavar="PLACE",
+        help="of the study: an SQLite file, or a folder, on which many processes may search at once",
+    )
     tune.add_argument("--trials", type=int, default=20, help="trials in all, those in the file included (%(default)s)")
     tune.add_argument(
         "--output", type=nonempty, metavar="FILE", help="write the best as YAML that train --hyperparameters takes"
@@ -71,7 +79,7 @@ def make_parser() -> argparse.ArgumentParser:
         commands, "evaluate", run_evaluate, "drive one controller and print its costs", "roadgym evaluate --agent runs/apg"
     )
     who = evaluate.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent, or a task of the suite")
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     evaluate.add_argument("--json", action="store_true", help="print JSON instead of a table")
     add_evaluation(evaluate, seed=True)
@@ -103,23 +111,45 @@ def make_parser() -> argparse.ArgumentParser:
         "--seeds", type=int, default=1, help="agents to train, each of another seed from --seed on (%(default)s)"
     )
     compare.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    compare.add_argument(
-        "--controllers",
-        nargs="+",
-        metavar="NAME",
-        help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
-    )
-    compare.add_argument(
-        "--bound",
-        default="fast",
-        metavar="BOUND",
-        help="lower bounds of all controllers to hold the costs against: fast, tight (minutes a point), none, or one method, "
-        "such as matrix_inequality (%(default)s)",
-    )
+    _add_references(compare)
     add_training(compare, seed_of="training, where it is the first one's, and of the evaluation's roads")
     add_evaluation(compare)
     add_estimator(compare, "agents trained here, and classical controllers, drive")
     add_environment(compare)
+
+    sweep = _command(
+        commands,
+        "sweep",
+        run_sweep,
+        "train and compare many agents at once, seeds by values of options, on this machine or a cluster; the same command "
+        "goes on where it was stopped; exit code 1 if any of it failed",
+        "roadgym sweep --over algorithm apg ppo --over road multiplicative gaussian --seeds 5 --output sweep",
+    )
+    sweep.add_argument("--output", type=nonempty, required=True, metavar="DIR", help="folder of agents, comparisons and jobs")
+    sweep.add_argument(
+        "--over",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("OPTION", "VALUE"),
+        help="values to try of an option of training or of the environment, several words in quotes: --over damping-range "
+        "'0.05 1' '0.2 1'; may be given again, for all combinations",
+    )
+    sweep.add_argument("--seeds", type=int, default=1, help="agents of each, of seeds from --seed on (%(default)s)")
+    sweep.add_argument("--on", default="processes", metavar="WHERE", help="here, processes, ray or slurm (%(default)s)")
+    sweep.add_argument("--workers", type=int, metavar="N", help="how many at once (the processors; Slurm must be told)")
+    sweep.add_argument(
+        "--launch",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an option of ray.init, or of submitit such as slurm_partition=short; may be given again",
+    )
+    _add_references(sweep)
+    add_training(sweep, seed_of="training, where it is the first one's, and of the evaluation's roads")
+    add_evaluation(sweep)
+    add_estimator(sweep, "agents, and classical controllers, drive")
+    add_environment(sweep)
 
     drive = _command(
         commands,
@@ -129,7 +159,7 @@ def make_parser() -> argparse.ArgumentParser:
         "roadgym drive --controller skyhook --road multiplicative",
     )
     who = drive.add_mutually_exclusive_group(required=True)
-    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent")
+    who.add_argument("--agent", type=nonempty, metavar="DIR", help="folder of a trained agent, or a task of the suite")
     who.add_argument("--controller", metavar="NAME", help=f"a classical controller: {CLASSICAL}")
     drive.add_argument("--versus", metavar="NAME", help="another controller, or the folder of another agent, side by side")
     drive.add_argument(
@@ -155,7 +185,9 @@ def make_parser() -> argparse.ArgumentParser:
         "write a trained agent as C99, as ONNX, or as a table of the damping over two signals",
         "roadgym export --agent runs/ppo --to c --output firmware",
     )
-    export.add_argument("--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent")
+    export.add_argument(
+        "--agent", type=nonempty, required=True, metavar="DIR", help="folder of a trained agent, or a task of the suite"
+    )
     export.add_argument(
         "--to",
         choices=("c", "onnx", "table"),
@@ -199,7 +231,7 @@ def make_parser() -> argparse.ArgumentParser:
         "if a bound exceeds a driven cost",
     )
     certify.add_argument("--bandwidth", type=float, metavar="DELTA", help="with --optimal: of the road (the road's own)")
-    for name in ("damping_range", "reward"):
+    for name in ("damping_range", "reward", "sensors", "valve"):
         option, how = ENVIRONMENT[name]
         certify.add_argument(option, dest=f"environment_{name}", **{**how, "help": f"with --optimal: {how['help']}"})
     certify.add_argument(
@@ -304,6 +336,8 @@ def make_parser() -> argparse.ArgumentParser:
     errata.add_argument("--only", nargs="+", metavar="NAME", help="errata to check, by their names in the table (all)")
     errata.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
+    add_suite(commands, _command)
+
     cache = _command(
         commands,
         "cache",
@@ -313,6 +347,23 @@ def make_parser() -> argparse.ArgumentParser:
     )
     cache.add_argument("--clear", action="store_true", help="remove them; they are made again when they are needed")
     return parser
+
+
+def _add_references(parser: argparse.ArgumentParser) -> None:
+    """What agents are compared with."""
+    parser.add_argument(
+        "--controllers",
+        nargs="+",
+        metavar="NAME",
+        help=f"controllers to compare with, of {CLASSICAL} (those that most speak of, as far as the road allows)",
+    )
+    parser.add_argument(
+        "--bound",
+        default="fast",
+        metavar="BOUND",
+        help="lower bounds of all controllers to hold the costs against: fast, tight (minutes a point), none, or one method, "
+        "such as matrix_inequality (%(default)s)",
+    )
 
 
 def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> argparse.ArgumentParser:
@@ -333,9 +384,12 @@ def _command(commands: Any, name: str, run: Any, summary: str, example: str) -> 
 def given_options(arguments: Sequence[str] | None) -> frozenset[str]:
     """Names of the options that are given, whatever their values; the arguments must be right."""
     parser = make_parser()
-    for command in _commands(parser).values():
+    commands = list(_commands(parser).values())
+    for command in commands:
         for action in command._actions:
             action.default = argparse.SUPPRESS
+            if isinstance(action, argparse._SubParsersAction):  # a command of commands
+                commands += action.choices.values()
     return frozenset(vars(parser.parse_args(arguments)))
 
 

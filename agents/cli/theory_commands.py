@@ -17,7 +17,9 @@ from roadgym.parameters import whole
 
 from .options import refuse
 
-OPTIMAL = ("bandwidth", "environment_damping_range", "environment_reward", "methods")  # options that go with --optimal
+# options that go with --optimal; those of the environment are an agent's own
+ASKED = tuple(f"environment_{name}" for name in ("damping_range", "reward", "sensors", "valve"))
+OPTIMAL = ("bandwidth", *ASKED, "methods")
 
 
 def run_certify(chosen: argparse.Namespace) -> int:
@@ -64,13 +66,13 @@ def _certify_optimal(chosen: argparse.Namespace, plant: dict[str, Any]) -> int:
 
     refuse(chosen, ["damping"], "with --optimal, which finds the best one")
     if chosen.agent:
-        refuse(chosen, [*plant, *OPTIMAL[1:3]], "with --agent: the agent's environment holds")
+        refuse(chosen, [*plant, *ASKED], "with --agent: the agent's environment holds")
         agent = load(chosen.agent)
         environment = agent.description["environment"]
     else:
         agent = None
-        given = {"reward": chosen.environment_reward, "damping_range": chosen.environment_damping_range, "speed": chosen.speed}
-        environment = {**plant, **given, "bandwidth": chosen.bandwidth}
+        given = {name.removeprefix("environment_"): getattr(chosen, name) for name in ASKED}
+        environment = {**plant, **given, "speed": chosen.speed, "bandwidth": chosen.bandwidth}
     task = make_task(**observed_in_full(environment))
     episodes = whole("lanes", chosen.lanes, low=FEWEST_EPISODES) if "lanes" in chosen.given else 1024
     with work_progress() as report:

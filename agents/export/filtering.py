@@ -17,9 +17,10 @@ from roadgym.kalman import KalmanFilter
 from roadgym.kalman_kernel import KNOWN
 from roadgym.roads.linear import TERMS
 from roadgym.task import OPERATING_POINT, SATURATION
+from roadgym.variation import OF_VALVE
 
 from ..errors import AgentError
-from .program import Memory, Value, clip, concat, constant, elementwise, least, scan, where
+from .program import Memory, Value, clip, concat, constant, elementwise, least, scan, take, where
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,29 +36,37 @@ def double(values: npt.ArrayLike) -> Value:
 
 
 class Equations:
-    """What a filter knows of car, road and sensors, as polynomials of D, frequency ratio and bandwidth.
+    """What a filter knows of cars, road and sensors, as polynomials of D, frequency ratio and bandwidth.
 
     They are of second order at most in each.
 
     Attributes:
-        coefficients: by name, shape (3, 1 or 3, 1 or 3, ...): drift, intensity of the noise, rows of what is measured, of what
-            is told late, and of what is told, and covariance at the start.
+        coefficients: by name, shape (cars, 3, 1 or 3, 1 or 3, ...): drift, intensity of the noise, rows of what is measured, of
+            what is told late, and of what is told, and covariance at the start.
+        car: which of the cars that vary each filter of the bank is of.
 
     Raises:
         AgentError: others.
     """
 
     def __init__(self, known: KalmanFilter) -> None:
+        cars, self.car = np.unique(known.bank[:, 2:], axis=0, return_inverse=True)
+        self._ends = [max(map(abs, known.task.damping_range)), *(max(ends) for ends in known.ranges[:2])]
+        found = [self._fitted(known, car) for car in cars]
+        self.coefficients = {name: np.stack([each[name] for each in found]) for name in found[0]}
+
+    def _fitted(self, known: KalmanFilter, car: FloatArray) -> dict[str, FloatArray]:
+        """The coefficients of a car with these fields."""
+        ranges = known.ranges[:2]
         nodes = [np.array([-1.0, 0.0, 1.0])]  # of D, and whole numbers too of what varies, so that the fit rounds nothing
-        nodes += [np.array([1.0, 2.0, 3.0] if low < high else [low]) for low, high in known.ranges]
-        points = np.array(list(itertools.product(*nodes[1:])))
-        between = [0.3 * high + 0.7 * low for low, high in ((-1.0, 1.0), *known.ranges)]
-        control = self._values(known, np.array([between[1:]]), between[0])
+        nodes += [np.array([1.0, 2.0, 3.0] if low < high else [low]) for low, high in ranges]
+        points = np.array([[*point, *car] for point in itertools.product(*nodes[1:])])
+        between = [0.3 * high + 0.7 * low for low, high in ((-1.0, 1.0), *ranges)]
+        control = self._values(known, np.array([[*between[1:], *car]]), between[0])
         fits = [np.round(2 * np.linalg.inv(np.vander(at, increasing=True))) / 2 for at in nodes]  # as they are
         powers = [np.vander([x], len(at), increasing=True)[0] for x, at in zip(between, nodes, strict=True)]
         levels = [self._values(known, points, damping) for damping in nodes[0].tolist()]
-        self._ends = [max(map(abs, known.task.damping_range)), *(max(ends) for ends in known.ranges)]
-        self.coefficients: dict[str, FloatArray] = {}
+        coefficients = {}
         for name, exact in control.items():
             values = np.stack([level[name] for level in levels]).reshape(*map(len, nodes), *exact.shape[1:])
             largest = np.abs(values).max(axis=(0, 1, 2))
@@ -68,11 +77,12 @@ class Equations:
                     "cannot export a Kalman filter whose equations are no polynomials of speed and bandwidth, as after a "
                     "warm-up: fix both, or do without the warm-up"
                 )
-            self.coefficients[name] = found
+            coefficients[name] = found
+        return coefficients
 
     @staticmethod
     def _values(known: KalmanFilter, points: FloatArray, damping: float) -> dict[str, FloatArray]:
-        """All of them at operating points and a damping, shape (points, ...) each."""
+        """All of them at points of one car and a damping, shape (points, ...) each."""
         model, system = known.model(points), known.system(points, np.array([damping]))
         rows, late = (each[:, 0] + damping * each[:, 1] for each in (model.rows, model.delayed))
         shape = (len(points), 1, len(system.states), len(system.states))
@@ -81,33 +91,34 @@ class Equations:
         names = ("drift", "intensity", "rows", "late", "told", "start")
         return dict(zip(names, (drift, intensity, rows, late, model.told, model.start), strict=True))
 
-    def __call__(self, name: str, damping: Value, point: Value) -> Value:
-        """One of them at a damping, a number, and an operating point, shape (2,)."""
+    def __call__(self, name: str, damping: Value, point: Value, car: Value) -> Value:
+        """One of them at a damping, a number, and an operating point, shape (2,), of a car, which is its number."""
         coefficients = self.coefficients[name]
-        shape, flat = coefficients.shape[3:], coefficients.reshape(*coefficients.shape[:3], -1)
-        of_entry: list[list[int]] = [[] for _ in range(flat.shape[3])]
+        shape, flat = coefficients.shape[4:], np.moveaxis(coefficients.reshape(*coefficients.shape[:4], -1), 0, 3)
+        of_entry: list[list[int]] = [[] for _ in range(flat.shape[4])]
         monomials: list[Value] = []
-        terms: list[tuple[int, float]] = []
-        for powers in np.argwhere(flat.any(axis=3)).tolist():
+        terms: list[tuple[int, FloatArray]] = []
+        for powers in np.argwhere(flat.any(axis=(3, 4))).tolist():
             product = double(1.0)
             for x, power in zip((damping, point[0], point[1]), powers, strict=True):
                 for _ in range(power):
                     product = product * x
-            for entry in np.flatnonzero(flat[tuple(powers)]).tolist():
+            factors = flat[tuple(powers)]
+            for entry in np.flatnonzero(factors.any(axis=0)).tolist():
                 of_entry[entry].append(len(terms))
-                terms.append((len(monomials), flat[(*powers, entry)]))
+                terms.append((len(monomials), factors[:, entry]))
             monomials.append(product)
         if not terms:
             return double(np.zeros(shape))
-        places, factors = zip(*terms, strict=True)
-        padded = concat([concat(monomials)[places] * double(factors), double(0.0)])
+        places, of_cars = zip(*terms, strict=True)
+        padded = concat([concat(monomials)[places] * take(np.stack(of_cars, axis=1), car, "double"), double(0.0)])
         most = max(map(len, of_entry))
         rows = np.array([row + [len(terms)] * (most - len(row)) for row in of_entry])
         return padded[rows].reduced("sum").reshape(*shape)
 
     def doublings(self, time: float) -> int:
         """After which Taylor's series over a part of a time is right wherever it is asked for; see `roadgym.roads.linear`."""
-        drift = np.abs(self.coefficients["drift"]).sum(axis=(3, 4))
+        drift = np.abs(self.coefficients["drift"]).sum(axis=(4, 5)).max(axis=0)
         powers = [np.vander([end], length, increasing=True)[0] for end, length in zip(self._ends, drift.shape, strict=True)]
         largest = float(np.einsum("a,b,c,abc->", *powers, drift))
         return max(0, math.ceil(math.log2(max(4 * time * largest, 1e-9))))
@@ -274,6 +285,8 @@ def _corrected(
 
 def estimate(known: KalmanFilter, observation: Value, memory: Memory) -> Value:
     """What a Kalman filter tells, or a bank of them: the observation of its ``full`` task. It keeps what is commanded."""
+    if any(name.startswith(OF_VALVE) for name in known.fields):
+        raise AgentError("cannot export a bank of Kalman filters over valves that vary: vary the car alone")
     equations, low, step = Equations(known), known.task.damping_range[0], known.interval / known.parts
     own, states = (equations.coefficients[name].shape[-1] for name in ("drift", "start"))
     doublings = equations.doublings(step)
@@ -283,46 +296,46 @@ def estimate(known: KalmanFilter, observation: Value, memory: Memory) -> Value:
     names = known.full.signals
     moving = [name for name in names if name not in OPERATING_POINT]
     seen: dict[int, Value] = {}
-    for k, (column, factor, ends) in enumerate(zip(known.seen, FACTORS, known.ranges, strict=True)):
+    for k, (column, factor, ends) in enumerate(zip(known.seen, FACTORS, known.ranges[:2], strict=True)):
         if column is not None:
             share = observation[column].of_kind("double")
             seen[k] = clip(share / (1.0 - share) / factor, *ends)
 
-    def follow(point: Value, mean: Value, covariance: Value) -> tuple[Value, Value, Value, Value]:
+    def follow(point: Value, car: Value, mean: Value, covariance: Value) -> tuple[Value, Value, Value, Value]:
         """Mean, covariance, what is told of them, and the density of what was measured."""
 
         def go_on(now: list[Value], damping: list[Value]) -> tuple[list[Value], list[Value]]:
-            drift, intensity = (equations(name, damping[0], point) for name in ("drift", "intensity"))
+            drift, intensity = (equations(name, damping[0], point, car) for name in ("drift", "intensity"))
             phi, spread = transition(drift, intensity, step, doublings)
             return [phi @ now[0], phi @ now[1] @ phi.transposed + spread], []
 
         (phi, spread), _ = scan(go_on, [double(np.eye(own)), double(np.zeros((own, own)))], [valve.means])
-        pull = _pull(known, phi, equations("late", valve.before, point), states)
+        pull = _pull(known, phi, equations("late", valve.before, point, car), states)
         places = np.full((states, states), spread.size)
         places[:own, :own] = np.arange(own**2).reshape(own, own)
         moved = pull @ covariance @ pull.transposed + concat([spread, double(0.0)])[places]
         corner = np.arange(states)  # rounding must not make it less symmetric from step to step
         moved = moved.reshape(-1)[np.maximum.outer(corner, corner) * states + np.minimum.outer(corner, corner)]
         mean = where(memory.begun, mean @ pull.transposed, double(np.zeros(states)))
-        covariance = where(memory.begun, moved, equations("start", double(low), point))
+        covariance = where(memory.begun, moved, equations("start", double(low), point, car))
         mean, covariance, density = _corrected(
-            mean, covariance, equations("rows", valve.after, point), measured, known.noise, due
+            mean, covariance, equations("rows", valve.after, point, car), measured, known.noise, due
         )
-        told = [mean[range(own)] @ equations("told", double(low), point).transposed]
+        told = [mean[range(own)] @ equations("told", double(low), point, car).transposed]
         for name in names[len(moving) :]:
             x = point[OPERATING_POINT.index(name)] * FACTORS[OPERATING_POINT.index(name)]
             told.append(x / (x + 1.0))
         return mean, covariance, concat(told), density
 
     bank = len(known.bank)
-    points = [concat([seen.get(k, double(x)) for k, x in enumerate(point)]) for point in known.bank.tolist()]
+    points = [concat([seen.get(k, double(x)) for k, x in enumerate(point)]) for point in known.bank[:, :2].tolist()]
     shapes = ((states,), (states, states))
     before = [double(np.zeros(shape if bank == 1 else (bank, *shape))) for shape in shapes]
     before = [memory.recall(name, x) for name, x in zip(("mean", "covariance"), before, strict=True)]
     if bank == 1:
-        mean, covariance, told, _ = follow(points[0], *before)
+        mean, covariance, told, _ = follow(points[0], double(0.0), *before)
     else:
-        stacks = [concat(points).reshape(bank, 2), *before]
+        stacks = [concat(points).reshape(bank, 2), double(equations.car.reshape(-1)), *before]
         _, (mean, covariance, tolds, density) = scan(lambda _, one: ((), follow(*one)), [], stacks)
         weight = memory.recall("weight", double(np.full(bank, 1 / bank)))
         exponent = elementwise("log", weight) + density

@@ -93,6 +93,7 @@ class JobExecutor(Executor):
         self._waiting: dict[str, tuple[str, list[Future[Any]]]] = {}  # by the key: what the job is, and who waits for it
         self._done = self._failed = self._total = 0
         self._closing = self._cancelled = False
+        self._fault: JobError | None = None  # after which nobody looks after jobs
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
         """Ask for a job, see `executor`; returns the future of what the function returns.
@@ -104,7 +105,7 @@ class JobExecutor(Executor):
         key, future = key_of(description), Future[Any]()
         with self._lock:
             if self._closing:
-                raise RuntimeError("cannot submit jobs after shutdown")
+                raise self._fault or RuntimeError("cannot submit jobs after shutdown")
             self._waiting.setdefault(key, (description, []))[1].append(future)
             self._total += 1
             self._path(key, FAILED).unlink(missing_ok=True)  # it is tried again
@@ -219,8 +220,9 @@ class _Elsewhere(JobExecutor):
         except Exception as error:  # such as a folder that is gone
             with self._lock:
                 self._closing = True
+                self._fault = JobError(f"nobody can look after the jobs any more: {error}")
                 for key in list(self._waiting):
-                    self._hand_out(key, None, JobError(f"nobody can look after the jobs any more: {error}"))
+                    self._hand_out(key, None, self._fault)
         finally:
             self._leave()
 

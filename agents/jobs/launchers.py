@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from analysis.checks import processors
 from roadgym.installation import require
 from roadgym.parameters import ParameterError
+from roadgym.processors import processors
 
 from .worker import serve
 
@@ -58,7 +58,7 @@ class Launcher(Protocol):
 
 class _Process:
     def __init__(self, folder: Path, name: str) -> None:
-        command = [sys.executable, "-m", __package__, str(folder), name]
+        command = [sys.executable, "-m", __package__, str(folder), name, *sys.argv]
         self._process = subprocess.Popen(command, env={**os.environ, **environment()}, stdin=subprocess.DEVNULL)
 
     def alive(self) -> bool:
@@ -126,7 +126,7 @@ class Ray:
 
     def start(self, folder: Path, name: str) -> Handle:
         """See `Launcher`."""
-        return _Task(self._ray, self._task.remote(str(folder), name))
+        return _Task(self._ray, self._task.remote(str(folder), name, *sys.argv))
 
     def close(self) -> None:
         """See `Launcher`."""
@@ -169,7 +169,7 @@ class Slurm:
         executor = self._submitit.AutoExecutor(folder / "slurm", cluster=self._cluster)
         executor.update_parameters(**self._options)
         with _in_environment():
-            return _SlurmJob(executor.submit(serve, str(folder), name))
+            return _SlurmJob(executor.submit(serve, str(folder), name, *sys.argv))
 
     def close(self) -> None:
         """See `Launcher`."""

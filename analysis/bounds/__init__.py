@@ -16,7 +16,7 @@ from roadgym.installation import InstallationError
 from roadgym.parameters import ParameterError, shown, whole, within
 from roadgym.task import Task
 
-from . import information_relaxation, matrix_inequality, sums_of_squares
+from . import information_relaxation, matrix_inequality, pathwise_multipliers, sums_of_squares
 from .bound import PROVED, RIGOURS, SOLVED, STATISTICAL, LowerBound
 from .kept import described, kept_files, kept_path, load, save
 from .matrix_inequality import MatrixCertificate
@@ -63,6 +63,14 @@ METHODS: dict[str, Method] = {
     "sums_of_squares": Method(
         title="sums of squares", refusal=sums_of_squares.refusal, bound=sums_of_squares.bound, revision=2
     ),
+    "pathwise_multipliers": Method(
+        title="pathwise multipliers",
+        refusal=pathwise_multipliers.refusal,
+        bound=pathwise_multipliers.bound,
+        quick=False,
+        settings=("seed", "threads"),
+        revision=1,
+    ),
     "information_relaxation": Method(
         title="information relaxation",
         refusal=information_relaxation.refusal,
@@ -103,8 +111,6 @@ def refusal(task: Task, method: str = "fast") -> str | None:
     """
     if not isinstance(task, Task):
         raise ParameterError(f"task must be one that roadgym.task.make_task made, got {shown(task)}")
-    if task.vary is not None:
-        return "cars that differ from episode to episode"
     reasons = [each.refusal(task) for each in chosen_methods(method).values()]
     return None if None in reasons else "; ".join(dict.fromkeys(reason for reason in reasons if reason is not None))
 
@@ -148,6 +154,8 @@ def lower_bound(
     bandwidth = _one("bandwidth", task.bandwidth, bandwidth, "bandwidth") if task.bandwidth[1] > 0 else 0.0
     if not (cache is None or isinstance(cache, (str, os.PathLike))):
         raise ParameterError(f"cache must be a folder or None, got {shown(cache)}")
+    if not (report is None or callable(report)):
+        raise ParameterError(f"report must be a function or None, got {shown(report)}")
     given = {
         "seed": whole("seed", seed, low=0, of="seed"),
         "threads": None if threads is None else whole("threads", threads, of="threads"),

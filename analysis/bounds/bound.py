@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from roadgym.task import Task
+
 PROVED = "proved"
 SOLVED = "proved up to the solver's residual, which is charged"
 STATISTICAL = "statistical"
@@ -32,3 +34,12 @@ class LowerBound:
     def safe(self) -> float:
         """The cost less two standard errors."""
         return self.cost - 2 * self.standard_error
+
+
+def common_refusal(task: Task) -> str | None:
+    """Why no method has a bound for ``task``, in a few words; None where one may have."""
+    if task.vary is not None:
+        return "cars that differ from episode to episode"
+    if task.speed_noise is not None:
+        return f"{task.speed_noise.kind} noise on the speed"
+    return None

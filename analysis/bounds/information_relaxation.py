@@ -42,16 +42,17 @@ from typing import Any
 import numpy as np
 
 from roadgym.parameters import ParameterError, whole, within
+from roadgym.processors import usual_threads
 from roadgym.task import Task, make_task
 
-from ..checks import FloatArray, processors, single_threaded_algebra
+from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.driving import drive
 from ..feedback.grid import STATE, SingleArray
 from ..feedback.iteration import sharing, tabulate
 from ..feedback.model import Model
 from ..feedback.policy import OptimalFeedback
 from ..feedback.search import BOX, is_second_order, optimal_feedback
-from .bound import STATISTICAL, LowerBound
+from .bound import STATISTICAL, LowerBound, common_refusal
 from .relaxation.inner import Grid, Steps, along, relax
 from .relaxation.roads import Drives, RoadChain, levels, nearest
 
@@ -71,9 +72,9 @@ ASSUMPTION = (
 
 def refusal(task: Task) -> str | None:
     """Why there is no such bound for ``task``, in a few words; None where there is."""
-    road = task.road.shaping_filter()
-    if task.speed_noise is not None:
-        return "information relaxation knows no noise on the speed"
+    reason, road = common_refusal(task), task.road.shaping_filter()
+    if reason is not None:
+        return reason
     if not task.valve.ideal:
         return "information relaxation needs a damping that is held over each control interval, and so an ideal valve"
     if not is_second_order(task.car):
@@ -115,7 +116,7 @@ def bound(
     if reason is not None:
         raise ParameterError(f"there is no such bound for this task: {reason}")
     precision, intervals = within("precision", precision, "relative_error"), whole("intervals", intervals)
-    count = processors() if threads is None else whole("threads", threads, of="threads")
+    count = usual_threads() if threads is None else whole("threads", threads, of="threads")
 
     furthest = 0
 

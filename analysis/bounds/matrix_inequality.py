@@ -48,7 +48,7 @@ from roadgym.task import Task
 
 from ..checks import FloatArray, single_threaded_algebra
 from ..quadratic import plant_system
-from .bound import PROVED, LowerBound
+from .bound import PROVED, LowerBound, common_refusal
 
 ASSUMPTION = "any controller whose damping stays in the range, acting at any time"
 MULTIPLIERS = (1e-9, 1e6)  # in units of the mean cost over that of k v_r squared
@@ -89,11 +89,9 @@ class MatrixCertificate:
 
 def refusal(task: Task) -> str | None:
     """Why there is no such bound for this task; None where there is."""
-    if task.speed_noise is not None:
-        return f"{task.speed_noise.kind} noise on the speed"
     if task.road.shaping_filter() is None:
-        return f"a {task.road.kind} road is no linear filter"
-    return None
+        return common_refusal(task) or f"a {task.road.kind} road is no linear filter"
+    return common_refusal(task)
 
 
 def bound(task: Task, speed: float, bandwidth: float, *, report: Callable[[int, int], None] | None = None) -> LowerBound:

@@ -44,7 +44,7 @@ from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.grid import variable_of
 from ..optimum import optimal_damping
 from ..quadratic import has_quadratic_value, plant_system
-from .bound import SOLVED, LowerBound
+from .bound import SOLVED, LowerBound, common_refusal
 from .levels import Levels
 from .polynomials import IntArray, Space, exponents, generator, values
 from .semidefinite import Program, solve
@@ -87,8 +87,9 @@ class SquaresCertificate:
 
 def refusal(task: Task) -> str | None:
     """Why there is no such bound for this task; None where there is."""
-    if task.speed_noise is not None:
-        return f"{task.speed_noise.kind} noise on the speed"
+    reason = common_refusal(task)
+    if reason is not None:
+        return reason
     road = task.road.shaping_filter()
     if road is None:
         return f"a {task.road.kind} road is no linear filter"

@@ -41,6 +41,24 @@ def cubic(t: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @compiled
+def interpolate(table: Any, size: Any, row_place: Any, column_place: Any) -> Any:
+    """A square table by Lagrange's cubics at a place in cells from its first node, kept within it."""
+    row, t = locate(row_place, size)
+    v0, v1, v2, v3 = cubic(t)
+    column, t = locate(column_place, size)
+    h0, h1, h2, h3 = cubic(t)
+    p = row * size + column
+    total = v0 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
+    p += size
+    total += v1 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
+    p += size
+    total += v2 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
+    p += size
+    total += v3 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
+    return total
+
+
+@compiled
 def road_stencil(z: Any, u: Any, spacing: Any, rings: Any, rays: Any, index: Any, weight: Any) -> None:
     """Sixteen nodes of the polar grid and their weights at (z, u); across the centre lie the rays opposite."""
     first, t = locate(math.sqrt(z * z + u * u) / spacing - 0.5 + 2.0, rings + 2)  # two mirrored rings inside the first

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from roadgym.compiled import compiled
 
 from ..checks import FloatArray
-from .grid import ZERO, SingleArray, add_shifted, cubic, locate, minimise
+from .grid import ZERO, SingleArray, add_shifted, interpolate, minimise
 from .model import CHANCE, NODE, NODES, POINTS, Model
 
 SWEEPS, CHECK, SETTLED = 400, 10, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
@@ -91,18 +91,7 @@ def sweep(
                 linear, square = f[1] * y + f[5] * z + f[6] * u, f[2]
                 for k in range(size):
                     x = (k - centre) * cell[1]
-                    row, t = locate(row_start + row_step * x, size)
-                    v0, v1, v2, v3 = cubic(t)
-                    column, t = locate(column_start + column_step * x, size)
-                    h0, h1, h2, h3 = cubic(t)
-                    p = row * size + column
-                    value = v0 * (h0 * e[p] + h1 * e[p + 1] + h2 * e[p + 2] + h3 * e[p + 3])
-                    p += size
-                    value += v1 * (h0 * e[p] + h1 * e[p + 1] + h2 * e[p + 2] + h3 * e[p + 3])
-                    p += size
-                    value += v2 * (h0 * e[p] + h1 * e[p + 1] + h2 * e[p + 2] + h3 * e[p + 3])
-                    p += size
-                    value += v3 * (h0 * e[p] + h1 * e[p + 1] + h2 * e[p + 2] + h3 * e[p + 3])
+                    value = interpolate(e, size, row_start + row_step * x, column_start + column_step * x)
                     row_of_q[k] = value + constant + (linear + square * x) * x
             for c in range(4):
                 p0, p1, p2, p3 = POLYNOMIAL[c, 0], POLYNOMIAL[c, 1], POLYNOMIAL[c, 2], POLYNOMIAL[c, 3]

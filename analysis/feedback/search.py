@@ -13,11 +13,12 @@ import numpy as np
 
 from roadgym.cars import MEAN_SQUARES, Car, make_car
 from roadgym.parameters import ParameterError, positive_range, shown, whole, within
+from roadgym.processors import usual_threads
 from roadgym.reward import asked_signals, check_weights
 from roadgym.roads import Road, make_road
 from roadgym.task import Task, make_task
 
-from ..checks import FloatArray, processors
+from ..checks import FloatArray
 from .driving import Respond, drive
 from .grid import GRIDS, STATE, SingleArray, evaluate, geometry_of
 from .iteration import sharing, solve
@@ -126,7 +127,7 @@ def optimal_feedback(
         precision=precision,
         refinements=refinements,
         seed=seed,
-        threads=processors() if threads is None else whole("threads", threads, of="threads"),
+        threads=usual_threads() if threads is None else whole("threads", threads, of="threads"),
     )
     chosen = {name: value for name, value in dataclasses.asdict(settings).items() if name != "threads"}
     text = json.dumps({"format": FORMAT, **problem.description, **chosen}, sort_keys=True)

@@ -25,7 +25,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any
@@ -37,6 +36,7 @@ from roadgym.cars import MEAN_SQUARES, QuarterCar
 from roadgym.compiled import LANES, LaneFunction
 from roadgym.noise import fill_words, keys_from_seeds
 from roadgym.parameters import ParameterError, check_ratio, number, shown, whole, within
+from roadgym.processors import usual_threads
 from roadgym.reward import divergent_terms
 from roadgym.roads import FirstOrderRoad, GaussianRoad, HarmonicRoad, MultiplicativeRoad, Road, make_road
 from roadgym.speed import SpeedNoise, WhiteSpeedNoise, make_speed_noise
@@ -345,9 +345,8 @@ def in_threads(
     report: Callable[[int, int], None] | None,
 ) -> dict[tuple[Any, ...], Any]:
     """Results of ``function(*job)``, by job; compiled code runs without the interpreter's lock."""
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     results: dict[tuple[Any, ...], Any] = {jobs[0]: function(*jobs[0])} if jobs else {}  # compiles, once
-    with ThreadPoolExecutor(threads or available) as pool:
+    with ThreadPoolExecutor(threads or usual_threads()) as pool:
         pending: dict[Future[Any], tuple[Any, ...]] = {pool.submit(function, *job): job for job in jobs[1:]}
         try:
             while pending:

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from ..compiled import DAMPING, LANES, LEVEL, LaneFunction
-from ..filters import filter_sources
-from ..linear import FloatArray, Motion
+from ..filters import filter_sources, filtered
+from ..linear import FloatArray, Motion, Signal
 from ..valve import Valve
 from .base import Car
 from .linear import (
@@ -66,6 +66,38 @@ def _powers_of_values() -> FloatArray:
     """What makes of values at the nodes the coefficients of powers, the highest first, shape (nodes, powers)."""
     fitted = np.polynomial.chebyshev.chebfit(NODES, np.eye(DEGREE + 1), DEGREE)
     return np.asarray((fitted.T @ chebyshev_powers())[:, ::-1])
+
+
+def in_terms_of(nominal: Car, car: Car, firmer: float) -> Motion:
+    """The equations of ``car`` in the time of the ``nominal`` one, of its damping ratio, with signals as it tells them.
+
+    Args:
+        nominal: a car of the same states and signals.
+        car: that drives.
+        firmer: its own damping ratio over the nominal one, 1.
+    """
+    whole, faster = car.motion, car.natural_frequency / nominal.natural_frequency
+    own, names = whole.own, list(whole.signals)
+    powers = [nominal.time_powers.get(name, 0) for name in names]
+    units = (car.unit_factors / nominal.unit_factors * faster ** np.array(powers)).tolist()
+    unit = dict(zip(names, units, strict=True))
+    force = firmer / unit[own.relative]
+    of_input = {"level_rate": 1 / faster, "damper_force": force}
+
+    def told(name: str, signal: Signal) -> Signal:
+        terms = {term: factor * unit[name] * of_input.get(term, 1.0) for term, factor in signal.terms.items()}
+        return dataclasses.replace(signal, terms=terms)
+
+    found = dataclasses.replace(
+        own,
+        drift=faster * own.drift,
+        level_entry=faster * own.level_entry,
+        force_entry=faster * force * own.force_entry,
+        signals={name: told(name, signal) for name, signal in own.signals.items()},
+    )
+    for name, chosen in nominal.motion.filters.items():  # which hear the signal in terms of the nominal car
+        found = filtered(found, name, whole.signals[name].symbol, chosen)
+    return found
 
 
 @LaneFunction
@@ -151,24 +183,9 @@ class VariedCar(LinearCar):
             interval: the control interval, s.
             damping: smallest and largest nominal D that is met.
         """
-        nominal, own, faster = self.nominal, car.motion, car.natural_frequency / self.nominal.natural_frequency
-        low, high = damping
-        factors = factors_at_nodes(own.own, substep * faster, (firmer * low, firmer * high), exponentials)
-        names, size = list(own.signals), len(own.own.states)
-        powers = np.array([nominal.time_powers.get(name, 0) for name in names])
-        unit = car.unit_factors / nominal.unit_factors * faster**powers
-        rows = np.array(nominal.motion.rows)  # behind filters, whose input is in terms of the nominal car
-        rows[:, :size] = unit[:, None] * own.rows[:, :size]
-        rows[:, -3] = unit * own.rows[:, -3]
-        rows[:, -2] = unit * own.rows[:, -2] / faster
-        rows[:, -1] = unit * own.rows[:, -1] * firmer / unit[names.index(own.relative)]
-        sources = []
-        for chosen in own.filters.values():
-            source = filter_sources(own, chosen.source, substep * faster) * unit[names.index(chosen.source)]
-            source *= firmer ** np.arange(3)[:, None]
-            source[:, -2] /= faster
-            sources.append(source.ravel())
-        told = valve.numbers(interval, nominal.natural_frequency)
-        return np.concatenate(
-            [(factors.T @ _powers_of_values()).ravel(), rows.ravel(), *sources, [told[name] for name in VALVE_NUMBERS]]
-        )
+        told = in_terms_of(self.nominal, car, firmer)
+        factors = factors_at_nodes(told.own, substep, damping, exponentials)
+        sources = [filter_sources(told, chosen.source, substep).ravel() for chosen in told.filters.values()]
+        of_valve = valve.numbers(interval, self.nominal.natural_frequency)
+        series = (factors.T @ _powers_of_values()).ravel()
+        return np.concatenate([series, told.rows.ravel(), *sources, [of_valve[name] for name in VALVE_NUMBERS]])

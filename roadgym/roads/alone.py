@@ -39,10 +39,22 @@ def sample_road(
     """
     # a road needs none of these, they need roads
     from .. import kernel
+    from ..addresses import lane_address, padded_table
     from ..compiled import COEFFICIENT, LANES
     from ..noise import fill_words, keys_from_seeds
-    from ..plant import lane_address, padded_table
-    from ..record import COUNTERS, PLANT
+    from ..record import (
+        COUNTERS,
+        END,
+        LEVELS,
+        ORDER,
+        PLANT,
+        PLANT_ADDRESS,
+        POINTS,
+        SLOPES,
+        SPARE_ADDRESS,
+        UNSOUND,
+        WORDS_ADDRESS,
+    )
     from ..task import check_component
     from . import make_road
 
@@ -72,7 +84,14 @@ def sample_road(
     seeds = np.uint64(seed) + np.arange(blocks * LANES, dtype=np.uint64)
     counters[:, :2] = keys_from_seeds(seeds).reshape(2, blocks, LANES).swapaxes(0, 1)
     levels, slopes = np.empty((points, number)), np.empty((points, number))
-    unsound = kernel.drive_roads(0, blocks, plant, np.zeros(blocks * size), counters.reshape(-1), levels, slopes)
+    plant["counters"], plant["environments"] = counters.ctypes.data, number
+    state, order = np.zeros(blocks * size), np.zeros(ORDER, np.int64)
+    words, spare = np.zeros(kernel.words_met(plant.view(np.recarray)[0]), np.uint32), np.zeros(kernel.SPARE, np.uint32)
+    order[END], order[POINTS], order[PLANT_ADDRESS] = blocks, points, plant.ctypes.data
+    order[WORDS_ADDRESS], order[SPARE_ADDRESS] = words.ctypes.data, spare.ctypes.data
+    order[LEVELS], order[SLOPES] = levels.ctypes.data, slopes.ctypes.data
+    kernel.drive_roads.entry(dtype)(order.ctypes.data, state.ctypes.data)
+    unsound = int(order[UNSOUND])
     if unsound >= 0:
         raise PlantError(f"profile {unsound} of {number} has left the numbers that {dtype} can hold: {made}")
     return spacing * np.arange(points, dtype=float), math.sqrt(made.variance) * levels.T

@@ -39,9 +39,9 @@ class Road(abc.ABC):
     square, the best constant damping and the autocovariance. A road with none is driven wherever theory would be asked.
 
     What a component says of itself is checked when it is used (`roadgym.task.check_component`, `roadgym.plant.Plant`). Lane
-    functions are trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one that
-    reads a little too far gives NaN, which is detected; one that reads or writes far off, or more words than it asked for,
-    breaks the process.
+    functions are trusted: nothing checks what they read and write. The table that they see has NaN after its end, so one
+    that reads a little too far gives NaN, which is detected; what one raises is lost, with all that it would have done
+    after it; one that reads or writes far off, or more words than it asked for, breaks the process.
     """
 
     kind: str = dataclasses.field(default="", init=False)

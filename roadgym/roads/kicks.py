@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..cache import remembered
 from ..compiled import compiled
 
 CELLS = 512
@@ -19,8 +20,10 @@ LARGEST_ROOT = 2.0  # end of the curve eta over sqrt(-ln g), for shapes below 1/
 @functools.cache
 def direction_quantiles(shape: float) -> npt.NDArray[np.float64]:
     """CELLS + 1 quantiles of |c|, density ~ (1 - c^2)^(shape - 3/2), scaled so that E c^2 of the chords is 1/(2 shape)."""
-    if shape == 0.5:
-        return np.ones(CELLS + 1)
+    return np.ones(CELLS + 1) if shape == 0.5 else remembered(_direction_quantiles, shape)
+
+
+def _direction_quantiles(shape: float) -> npt.NDArray[np.float64]:
     from scipy.special import betaincinv
 
     quantiles = np.sqrt(betaincinv(0.5, shape - 0.5, np.linspace(0.0, 1.0, CELLS + 1)))

@@ -55,11 +55,12 @@ FAR_KEEP, FAR_KICK = COEFFICIENT, COEFFICIENT + LANES
 NEAR_KEEP, NEAR_KICK = COEFFICIENT + 2 * LANES, COEFFICIENT + 3 * LANES
 SHORT_COSINE, SHORT_SINE = COEFFICIENT + 4 * LANES, COEFFICIENT + 5 * LANES
 LONG_COSINE, LONG_SINE = COEFFICIENT + 6 * LANES, COEFFICIENT + 7 * LANES
-CELL_BEGIN, CELL_WIDTH = COEFFICIENT + 8 * LANES, COEFFICIENT + 9 * LANES  # of this substep only
+CELL = COEFFICIENT + 8 * LANES  # of this substep only, two rows: begin and width of the cell of each lane, one after the other
 
 # the table: u0^2, u0^2/z0^2, 1/r0^2 (0 on an ellipse, which the path leaves), the shape, how many kicks in CHANCES are far,
-# then the knots of a curve and the distances between them
+# then the knots of a curve, and once more each with the distance to the next, since a look-up of both is one load
 SQUARE_CHORD, CHORD_RATIO, INVERSE_BOUND, SHAPE, FAR, CURVE = 0, 1, 2, 3, 4, 5
+PAIRS = CURVE + CELLS + 1
 LEAST_KEEP = 1e-9
 LARGE_NONCENTRALITY = 1e4  # above it chi'^2 is taken for the square of a shifted normal, whose error is below 1 over it
 
@@ -120,16 +121,17 @@ def advance(lanes: Any, words: Any, table: Any) -> None:
     # top bit chooses the instant of the kick, the next its sign, nine the cell of the table, sixteen the place in the cell,
     # and the last five whether it goes far.
     for i in range(LANES):
-        cell = np.int64((words[i] >> np.uint32(21)) & np.uint32(CELLS - 1))
-        lanes[CELL_BEGIN + i] = table[CURVE + cell]
-        lanes[CELL_WIDTH + i] = table[CURVE + CELLS + 1 + cell]
+        place = 2 * np.int64((words[i] >> np.uint32(21)) & np.uint32(CELLS - 1))
+        begin, width = table[PAIRS + place], table[PAIRS + place + 1]
+        lanes[CELL + 2 * i] = begin
+        lanes[CELL + 2 * i + 1] = width
     for i in range(LANES):
         word = words[i]
         early = np.int32(word) < np.int32(0)
         sign = like(lanes, np.int32(np.int32((word >> np.uint32(29)) & np.uint32(2)) - np.int32(1)))
         place = like(lanes, np.int32((word >> np.uint32(5)) & np.uint32(0xFFFF))) * fraction_unit
         far = np.int32(word & np.uint32(CHANCES - 1)) < far_below
-        direction = sign * (lanes[CELL_BEGIN + i] + place * lanes[CELL_WIDTH + i])
+        direction = sign * (lanes[CELL + 2 * i] + place * lanes[CELL + 2 * i + 1])
 
         short_cosine, short_sine = lanes[SHORT_COSINE + i], lanes[SHORT_SINE + i]
         long_cosine, long_sine = lanes[LONG_COSINE + i], lanes[LONG_SINE + i]
@@ -397,7 +399,8 @@ class MultiplicativeRoad(Road):
         bound = square_chord * (1 - 4 * float(np.finfo(self.precision).eps))
         curve = projection_curve(self.shape) if self.shape < 0.5 else direction_quantiles(self.shape)
         constants = [square_chord, ratio, 1 / bound if self.is_circle else 0.0, self.shape, far_chance(self.shape)]
-        return np.concatenate([constants, curve, np.diff(curve)])
+        pairs = np.stack([curve[:-1], np.diff(curve)], axis=1)
+        return np.concatenate([constants, curve, pairs.ravel()])
 
     def shaping_filter(self, bandwidth: npt.ArrayLike | None = None) -> ShapingFilter:
         """Equations (7), (8); on an ellipse the second moments alone are known, over the variance that there is."""

@@ -10,32 +10,14 @@ import numpy.typing as npt
 from roadgym.compiled import compiled
 
 from ...checks import FloatArray
-from ...feedback.grid import HALF, ZERO, SingleArray, add_shifted, cubic, locate
+from ...feedback.grid import HALF, ZERO, SingleArray, add_shifted, interpolate
 
 IndexArray = npt.NDArray[np.int64]
 
 
 @compiled
-def interpolate(table: Any, size: Any, row_place: Any, column_place: Any) -> Any:
-    """A square table by Lagrange's cubics at a place in cells from its first node, kept within it."""
-    row, t = locate(row_place, size)
-    v0, v1, v2, v3 = cubic(t)
-    column, t = locate(column_place, size)
-    h0, h1, h2, h3 = cubic(t)
-    p = row * size + column
-    total = v0 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
-    p += size
-    total += v1 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
-    p += size
-    total += v2 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
-    p += size
-    total += v3 * (h0 * table[p] + h1 * table[p + 1] + h2 * table[p + 2] + h3 * table[p + 3])
-    return total
-
-
-@compiled
 def bilinear(table: Any, size: Any, row_place: Any, column_place: Any) -> Any:
-    """The same by linear interpolation in both axes, double precision."""
+    """A square table by linear interpolation at a place in cells from its first node, kept within it; double precision."""
     row_place = min(max(row_place, 0.0), size - 1.0)
     column_place = min(max(column_place, 0.0), size - 1.0)
     row, column = min(int(row_place), size - 2), min(int(column_place), size - 2)
