@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -17,7 +16,6 @@ TYPES = {"float": "float", "double": "double", "bool": "int"}
 BYTES = {"float": 4, "double": 8, "bool": 4}
 CALLS = {"abs": "fabs", **{name: name for name in ("exp", "floor", "log", "rint", "sqrt", "tanh")}}
 ARGUMENTS = ("observation", "measured")  # what is given that is not remembered
-MOVED = re.compile(r"\(([\w>-]+) \+ (.*)\)")
 SIGNS = {"+": "+", "-": "-", "*": "*", "/": "/", ">": ">", "and": "&&"}
 REDUCTIONS = {  # how each begins, and goes on
     "sum": ("{y} = 0;", "{y} += {x}[j];"),
@@ -47,16 +45,7 @@ def number(value: float, kind: str = "float") -> str:
 
 def moved(name: str, places: str | int) -> str:
     """An array that begins some places on in another one."""
-    known = MOVED.fullmatch(name)
-    return f"({known[1]} + {known[2]} + {places})" if known else f"({name} + {places})" if places else name
-
-
-def at(name: str, place: str | int) -> str:
-    """An entry of an array."""
-    known = MOVED.fullmatch(name)
-    if known is None:
-        return f"{name}[{place}]"
-    return f"{known[1]}[{known[2]}]" if place in ("0", 0) else f"{known[1]}[{place} + {known[2]}]"
+    return f"({name} + {places})" if places else name
 
 
 def array(values: npt.ArrayLike, kind: str = "float") -> str:
@@ -119,12 +108,12 @@ class CPrinter(Printer):
         if operation == "gather" and np.array_equal(np.ravel(detail), detail.min() + np.arange(detail.size)):
             return moved(x, detail.min())
         if operation == "take":
-            return moved(self._constant(detail, value.kind), f"(int){at(x, 0)} * {value.size}")
+            return moved(self._constant(detail, value.kind), f"(int){x}[0] * {value.size}")
         y = self._variable(value)
         if operation in ELEMENTWISE:
             self._each(value, y)
         elif operation == "gather":
-            self._loop(value.size, f"{y}[i] = {at(x, self._constant(np.ravel(detail), 'unsigned short') + '[i]')};")
+            self._loop(value.size, f"{y}[i] = {x}[{self._constant(np.ravel(detail), 'unsigned short')}[i]];")
         elif operation == "concat":
             first = 0
             for part in value.inputs:
@@ -167,7 +156,7 @@ class CPrinter(Printer):
     def _copy(self, target: str, source: str, size: int) -> None:
         """Copy numbers."""
         for_one = "0" if size == 1 else "i"
-        self._loop(size, f"{at(target, for_one)} = {at(source, for_one)};")
+        self._loop(size, f"{target}[{for_one}] = {source}[{for_one}];")
 
     def _leaves(self, value: Value) -> Iterator[Value]:
         for x in value.inputs:
@@ -206,7 +195,7 @@ class CPrinter(Printer):
         """The same of one that is written."""
         if x.operation == "constant" and x.size == 1:
             return number(x.detail.item(), x.kind)
-        return self.names[x] if self.names[x] == "state->begun" else at(self.names[x], place(x))
+        return self.names[x] if self.names[x] == "state->begun" else f"{self.names[x]}[{place(x)}]"
 
     def _scan(self, value: Value, loop: Loop) -> str:
         carried = [self._variable(x) for x in loop.carried]

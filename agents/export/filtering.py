@@ -2,13 +2,16 @@
 
 Python keeps Phi(D) and Q(D) as series at each operating point. Here they are found anew in each step, as Python finds the nodes
 of its series: Taylor's series of the equations over a part of the interval, then doubled. The equations are polynomials of D,
-speed and bandwidth, of which few terms are not zero: these are the constants, so the filter is exact at every operating point.
+speed and bandwidth, whose coefficients are the constants, so the filter is exact at every operating point.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import itertools
 import math
+import operator
 
 import numpy as np
 import numpy.typing as npt
@@ -94,27 +97,14 @@ class Equations:
     def __call__(self, name: str, damping: Value, point: Value, car: Value) -> Value:
         """One of them at a damping, a number, and an operating point, shape (2,), of a car, which is its number."""
         coefficients = self.coefficients[name]
-        shape, flat = coefficients.shape[4:], np.moveaxis(coefficients.reshape(*coefficients.shape[:4], -1), 0, 3)
-        of_entry: list[list[int]] = [[] for _ in range(flat.shape[4])]
-        monomials: list[Value] = []
-        terms: list[tuple[int, FloatArray]] = []
-        for powers in np.argwhere(flat.any(axis=(3, 4))).tolist():
-            product = double(1.0)
-            for x, power in zip((damping, point[0], point[1]), powers, strict=True):
-                for _ in range(power):
-                    product = product * x
-            factors = flat[tuple(powers)]
-            for entry in np.flatnonzero(factors.any(axis=0)).tolist():
-                of_entry[entry].append(len(terms))
-                terms.append((len(monomials), factors[:, entry]))
-            monomials.append(product)
-        if not terms:
+        shape, flat = coefficients.shape[4:], coefficients.reshape(*coefficients.shape[:4], -1)
+        used = np.argwhere(flat.any(axis=(0, 4))).tolist()
+        if not used:
             return double(np.zeros(shape))
-        places, of_cars = zip(*terms, strict=True)
-        padded = concat([concat(monomials)[places] * take(np.stack(of_cars, axis=1), car, "double"), double(0.0)])
-        most = max(map(len, of_entry))
-        rows = np.array([row + [len(terms)] * (most - len(row)) for row in of_entry])
-        return padded[rows].reduced("sum").reshape(*shape)
+        factors = [[damping] * a + [point[0]] * b + [point[1]] * c for a, b, c in used]
+        monomials = concat([functools.reduce(operator.mul, each, double(1.0)) for each in factors])
+        table = np.stack([flat[:, a, b, c] for a, b, c in used], axis=1).reshape(len(flat), -1)
+        return (monomials @ take(table, car, "double").reshape(len(used), -1)).reshape(*shape)
 
     def doublings(self, time: float) -> int:
         """After which Taylor's series over a part of a time is right wherever it is asked for; see `roadgym.roads.linear`."""
@@ -145,54 +135,50 @@ def transition(drift: Value, intensity: Value, time: float, doublings: int) -> t
     return phi, spread
 
 
-class ValveInForce:
-    """The damping in force in a control interval after a command, `roadgym.actuation`.
+def in_force(known: KalmanFilter, command: Value, memory: Memory) -> tuple[Value, Value, Value]:
+    """The damping in force in a control interval after a command, by `roadgym.actuation`.
 
-    Attributes:
-        before: in force at the beginning of the interval.
-        means: of the parts of the interval, shape (parts,).
-        after: in force at its end.
+    Returns:
+        That at its beginning, the means of its parts, shape (parts,), and that at its end.
     """
+    task, part = known.task, known.interval / known.parts
+    numbers = task.valve.numbers(task.control_interval, task.car.natural_frequency)
+    low, high = task.damping_range
+    late, share = int(numbers["valve_late"]), float(numbers["valve_part"])
+    told = clip(command.of_kind("double"), low, high)
+    if numbers["valve_levels"]:
+        step = (high - low) / (numbers["valve_levels"] - 1)
+        told = elementwise("rint", (told - low) / step) * step + low
+    line = concat([told, memory.recall("commands", double(np.full(late + 1, low)))])
+    memory.kept["commands"] = line[range(late + 1)]
+    newer, older = line[late], line[late + 1]
+    if known.parts == 1:
+        return older, newer.reshape(1), newer
+    rise, fall = (max(float(numbers[f"valve_{name}"]), INSTANT * part) for name in ("rise", "fall"))
+    follow = _Follower(float(numbers["valve_rate"]), rise, fall)
 
-    def __init__(self, known: KalmanFilter, command: Value, memory: Memory) -> None:
-        task, part = known.task, known.interval / known.parts
-        numbers = task.valve.numbers(task.control_interval, task.car.natural_frequency)
-        low, high = task.damping_range
-        late, share = int(numbers["valve_late"]), float(numbers["valve_part"])
-        told = clip(command.of_kind("double"), low, high)
-        if numbers["valve_levels"]:
-            step = (high - low) / (numbers["valve_levels"] - 1)
-            told = elementwise("rint", (told - low) / step) * step + low
-        line = concat([told, memory.recall("commands", double(np.full(late + 1, low)))])
-        memory.kept["commands"] = line[range(late + 1)]
-        newer, older = line[late], line[late + 1]
-        if known.parts == 1:
-            self.before, self.means, self.after = older, newer.reshape(1), newer
-            return
-        rate, rise, fall = (float(numbers[f"valve_{name}"]) for name in ("rate", "rise", "fall"))
-        instant = INSTANT * part
-        follow = _Follower(rate, max(rise, instant), max(fall, instant))
+    def through(now: list[Value], number: list[Value]) -> tuple[list[Value], list[Value]]:
+        value, target = now
+        until, early = double(0.0), double(0.0)
+        if share:
+            until = clip(share * known.parts - number[0], 0.0, 1.0) * part
+            value, target, early = follow.driven(value, target, older, until)
+        value, target, area = follow.driven(value, target, newer, part - until)
+        return [clip(value, low, high), target], [clip((early + area) / part, low, high)]
 
-        def through(now: list[Value], number: list[Value]) -> tuple[list[Value], list[Value]]:
-            value, target = now
-            until, early = double(0.0), double(0.0)
-            if share:
-                until = clip(share * known.parts - number[0], 0.0, 1.0) * part
-                value, target, early = follow.driven(value, target, older, until)
-            value, target, area = follow.driven(value, target, newer, part - until)
-            return [clip(value, low, high), target], [clip((early + area) / part, low, high)]
-
-        start = [memory.recall(name, double(low)) for name in ("in_force", "target")]
-        (value, target), (self.means,) = scan(through, start, [double(np.arange(known.parts))] if share else [], known.parts)
-        memory.kept |= {"in_force": value, "target": target}
-        self.before, self.after = start[0], value
+    start = [memory.recall(name, double(low)) for name in ("in_force", "target")]
+    (value, target), (means,) = scan(through, start, [double(np.arange(known.parts))] if share else [], known.parts)
+    memory.kept |= {"in_force": value, "target": target}
+    return start[0], means, value
 
 
+@dataclasses.dataclass(frozen=True)
 class _Follower:
     """The lag and the limited rate of a valve; no time constant is zero."""
 
-    def __init__(self, rate: float, rise: float, fall: float) -> None:
-        self.rate, self.rise, self.fall = rate, rise, fall
+    rate: float
+    rise: float
+    fall: float
 
     def driven(self, value: Value, target: Value, level: Value, time: Value) -> tuple[Value, Value, Value]:
         """D and its target after a time at a constant level, and the integral of D."""
@@ -290,7 +276,7 @@ def estimate(known: KalmanFilter, observation: Value, memory: Memory) -> Value:
     equations, low, step = Equations(known), known.task.damping_range[0], known.interval / known.parts
     own, states = (equations.coefficients[name].shape[-1] for name in ("drift", "start"))
     doublings = equations.doublings(step)
-    valve = ValveInForce(known, memory.recall("commanded", constant(low)), memory)
+    begin, means, end = in_force(known, memory.recall("commanded", constant(low)), memory)
     measured = observation[known.columns].of_kind("double")
     due = _due(known, memory)
     names = known.full.signals
@@ -309,8 +295,8 @@ def estimate(known: KalmanFilter, observation: Value, memory: Memory) -> Value:
             phi, spread = transition(drift, intensity, step, doublings)
             return [phi @ now[0], phi @ now[1] @ phi.transposed + spread], []
 
-        (phi, spread), _ = scan(go_on, [double(np.eye(own)), double(np.zeros((own, own)))], [valve.means])
-        pull = _pull(known, phi, equations("late", valve.before, point, car), states)
+        (phi, spread), _ = scan(go_on, [double(np.eye(own)), double(np.zeros((own, own)))], [means])
+        pull = _pull(known, phi, equations("late", begin, point, car), states)
         places = np.full((states, states), spread.size)
         places[:own, :own] = np.arange(own**2).reshape(own, own)
         moved = pull @ covariance @ pull.transposed + concat([spread, double(0.0)])[places]
@@ -318,9 +304,7 @@ def estimate(known: KalmanFilter, observation: Value, memory: Memory) -> Value:
         moved = moved.reshape(-1)[np.maximum.outer(corner, corner) * states + np.minimum.outer(corner, corner)]
         mean = where(memory.begun, mean @ pull.transposed, double(np.zeros(states)))
         covariance = where(memory.begun, moved, equations("start", double(low), point, car))
-        mean, covariance, density = _corrected(
-            mean, covariance, equations("rows", valve.after, point, car), measured, known.noise, due
-        )
+        mean, covariance, density = _corrected(mean, covariance, equations("rows", end, point, car), measured, known.noise, due)
         told = [mean[range(own)] @ equations("told", double(low), point, car).transposed]
         for name in names[len(moving) :]:
             x = point[OPERATING_POINT.index(name)] * FACTORS[OPERATING_POINT.index(name)]

@@ -251,7 +251,6 @@ def _computed(value: Value, inputs: Sequence[Array]) -> Any:
         "take": lambda: detail[int(inputs[0])],
         "concat": lambda: np.concatenate(inputs),
         "reshape": lambda: inputs[0].reshape(value.shape),
-        "part": lambda: inputs[0][detail],
     }
     return others[operation]()
 
