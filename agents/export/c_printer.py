@@ -73,7 +73,6 @@ class CPrinter(Printer):
         self.constants: dict[object, str] = {}
         self.bytes = {"constant": 0, "variable": 0}
         self._numbers = itertools.count()
-        self._parts: dict[Value, list[str]] = {}  # the names of what a scan makes
         self._fused: set[Value] = set()  # what is worked out where it is used, the only place
 
     def body(self, results: Sequence[Value], end: str) -> str:
@@ -101,10 +100,6 @@ class CPrinter(Printer):
             return str(detail) if detail in ARGUMENTS else f"state->{detail}"
         if operation == "reshape" or value in self._fused:
             return x
-        if operation == "part":
-            return self._parts[value.inputs[0]][int(detail)]
-        if operation == "scan":
-            return self._scan(value, detail)
         if operation == "gather" and np.array_equal(np.ravel(detail), detail.min() + np.arange(detail.size)):
             return moved(x, detail.min())
         if operation == "take":
@@ -197,7 +192,8 @@ class CPrinter(Printer):
             return number(x.detail.item(), x.kind)
         return self.names[x] if self.names[x] == "state->begun" else f"{self.names[x]}[{place(x)}]"
 
-    def _scan(self, value: Value, loop: Loop) -> str:
+    def scan(self, value: Value, loop: Loop) -> list[str]:
+        """Write a scan as a loop."""
         carried = [self._variable(x) for x in loop.carried]
         told = [self._variable(Value("told", (), (loop.count, *x.shape), x.kind)) for x in loop.told]
         for name, x in zip(carried, value.inputs, strict=False):
@@ -212,5 +208,4 @@ class CPrinter(Printer):
         for name, x, source in zip(carried, loop.carried, made, strict=False):
             self._copy(name, source, x.size)
         self.lines = outside + _block(f"int {step} = 0; {step} < {loop.count}; {step}++", self.lines)
-        self._parts[value] = carried + told
-        return ""
+        return carried + told

@@ -12,7 +12,7 @@ import roadgym
 from roadgym.installation import needs
 
 from ..agent import Agent
-from .program import ELEMENTWISE, KINDS, Loop, Printer, Value, given
+from .program import KINDS, Loop, Printer, Value, given
 from .stages import observe, program_of, signal_table
 
 with needs("onnx"):
@@ -28,6 +28,7 @@ OPERATORS = {
     "/": "Div",
     ">": "Greater",
     "rint": "Round",
+    "matmul": "MatMul",
     **{name: name.capitalize() for name in ("abs", "and", "exp", "floor", "log", "sqrt", "tanh", "where")},
 }
 TYPES = {"float": TensorProto.FLOAT, "double": TensorProto.DOUBLE, "bool": TensorProto.BOOL}
@@ -45,7 +46,6 @@ class OnnxPrinter(Printer):
         super().__init__()
         self.constants: list[Any] = []
         self._count = 0
-        self._parts: dict[Value, list[str]] = {}  # the names of what a scan makes
 
     def new(self) -> str:
         """A new name."""
@@ -82,7 +82,7 @@ class OnnxPrinter(Printer):
             return self.node("Reshape", self.node("Not", BEGINS), self.tensor([-1]))
         if operation in KINDS:
             return self.node("Cast", *inputs, to=TYPES[value.kind])
-        if operation in ELEMENTWISE:
+        if operation in OPERATORS:
             return self.node(OPERATORS[operation], *inputs)
         if operation == "argmax":
             return self.node("Cast", self.node("ArgMax", *inputs, axis=-1, keepdims=0), to=TYPES[value.kind])
@@ -90,8 +90,6 @@ class OnnxPrinter(Printer):
             return self.node("ReduceMax", *inputs, axes=[-1], keepdims=0)
         if operation == "sum":
             return self.node("ReduceSum", *inputs, self.tensor([-1]), keepdims=0)
-        if operation == "matmul":
-            return self.node("MatMul", *inputs)
         if operation == "gather":
             return self.node("Gather", *inputs, self.tensor(detail), axis=1)
         if operation == "take":
@@ -99,15 +97,10 @@ class OnnxPrinter(Printer):
             return self.node("Gather", self.tensor(detail, KINDS[value.kind]), row, axis=0)
         if operation == "concat":
             return self.node("Concat", *map(self.each_car, value.inputs), axis=1)
-        if operation == "reshape":
-            return self.node("Reshape", *inputs, self.tensor([-1, *value.shape]))
-        if operation == "part":
-            return self._parts[value.inputs[0]][int(detail)]
-        self._parts[value] = self._scan(value, detail)
-        return ""
+        return self.node("Reshape", *inputs, self.tensor([-1, *value.shape]))
 
-    def _scan(self, value: Value, loop: Loop) -> list[str]:
-        """The names of what a scan makes."""
+    def scan(self, value: Value, loop: Loop) -> list[str]:
+        """Write a scan as the operator of that name."""
         inputs = [self.each_car(x) for x in value.inputs]
         steps = [] if loop.slices else [self.tensor(np.zeros((1, loop.count)))]  # which says how many there are
         held = [self.new() for _ in inputs]

@@ -281,11 +281,18 @@ class Printer(abc.ABC):
         self.lines: list[Any] = []
         self.names: dict[Value, str] = {}
         self._open: frozenset[object] = frozenset()
+        self._parts: dict[Value, Sequence[str]] = {}  # the names of what a scan makes
 
     def write_all(self, results: Sequence[Value]) -> list[str]:
         """Write what results need, but for what only a loop within knows, and return their names."""
         for value in sorted(set(walk(results)), key=lambda value: value.number):
-            if value not in self.names and value.scopes <= self._open:
+            if value in self.names or value in self._parts or not value.scopes <= self._open:
+                continue
+            if value.operation == "scan":
+                self._parts[value] = self.scan(value, value.detail)
+            elif value.operation == "part":
+                self.names[value] = self._parts[value.inputs[0]][value.detail]
+            else:
                 self.names[value] = self.write(value)
         return [self.names[value] for value in results]
 
@@ -300,4 +307,8 @@ class Printer(abc.ABC):
 
     @abc.abstractmethod
     def write(self, value: Value) -> str:
-        """Write a value, whose inputs are written, and return its name."""
+        """Write a value, whose inputs are written, and return its name; no scan."""
+
+    @abc.abstractmethod
+    def scan(self, value: Value, loop: Loop) -> Sequence[str]:
+        """Write a scan, and return the names of what is carried at its end, and of what it told."""
