@@ -117,6 +117,17 @@ class Variation:
             "own_valve": self.varies_valve * (first + car.valve_row),
         }
 
+    def unit_rows(self, first: int) -> dict[str, int]:
+        """Rows of what makes of a state the signal of its name, as the nominal car tells it, for each state that is a signal.
+
+        Args:
+            first: as of `places`.
+        """
+        motion, begin = self.car.motion, self.places(first)["own_signals"]
+        signals = enumerate(motion.signals.items())
+        rows = {name: k * (len(motion.states) + 3) for k, (name, signal) in signals if dict(signal.terms) == {name: 1.0}}
+        return {name: begin + (rows[name] + k) * LANES for k, name in enumerate(motion.states) if name in rows}
+
     def numbers(
         self, values: npt.NDArray[np.float64], substep: float, interval: float, damping: tuple[float, float]
     ) -> npt.NDArray[np.float64]:
