@@ -53,12 +53,12 @@ def test_slow_valves(tmp_path):
         "slow_valves.py", *few, "--agents", "--timesteps", "1", "--output", "a", folder=tmp_path
     ).splitlines()
     assert re.fullmatch(r"the best constant damping costs \S+; over it", first)
-    assert head.split() == ["clipped_lqr", "agent,", "unaware", "agent,", "aware"]
+    assert head.split() == ["clipped_lqr", "agent,", "unaware", "agent,", "aware", "agent,", "of", "many"]
     found = {row[:15].strip(): [float(word) for word in row[15:].split() if word != "±"] for row in rows}
     assert list(found) == ["ideal", "lag 30 ms"]
-    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["ideal", "lag-30-ms"]
-    (ideal, error, *unaware, _, _), (slow, its_own, *_) = found["ideal"], found["lag 30 ms"]
-    assert unaware == found["ideal"][4:]  # the same agent
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["ideal", "lag-30-ms", "many"]
+    (ideal, error, *_), (slow, its_own, *_) = found["ideal"], found["lag 30 ms"]
+    assert found["ideal"][2:4] == found["ideal"][4:6]  # the same agent
     assert abs(ideal - 0.714) < 0.03 + 4 * error
     assert slow - ideal > 0.05 - 3 * (error + its_own)
 
