@@ -156,7 +156,7 @@ class Plant:
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
         self._connect()
-        self.drawn = self.drawn_now = np.zeros((0 if vary is None else len(vary.names), num_envs))  # told last; of who drives on
+        self.drawn = self.drawn_now = np.zeros((0 if vary is None else len(vary.names), num_envs))  # told; who drives on
         if vary is not None:  # lanes beyond the last environment keep the nominal car
             nominal = vary.driven_car.numbers(task.car, task.valve, 1.0, self._substep, task.control_interval, self._met)
             self._own_numbers[:] = nominal[:, None]
