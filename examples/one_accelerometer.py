@@ -97,7 +97,7 @@ def main() -> None:
     for point, constant, feedback in zip(points, best, full, strict=True):
         bound = analysis.lower_bound(task, speed=point[0], bandwidth=point[1])  # of who knows the whole state, so of all
         found = f"best constant damping {constant.mean():.4f}, {chosen.rule} {feedback.mean():.4f}"
-        print(f"at {point}: {found}, no controller below {bound.cost:.4f}")
+        print(f"at {point}: no controller below {bound.cost:.4f}, {found}")
     print("by sensors and their noise, at each of these points: cost (share of the gap); and the mean share")
     for sensors in chosen.sensors:
         measured = {**plant, "observation": SENSORS[sensors], "observe_operating_point": not chosen.hide_operating_point}

@@ -122,7 +122,9 @@ def test_one_accelerometer(tmp_path):
     learned = ("--agents", "stacked", "--timesteps", "1", "--output", "agents")
     output = run("one_accelerometer.py", *size, *learned, "--sensors", "all", "acceleration", folder=tmp_path)
     at, _, *rows = output.splitlines()
-    best, known = (float(text) for text in re.search(r"constant damping (\S+), mixed_lookahead (\S+)", at).groups())
+    said = re.search(r"below (\S+), best constant damping (\S+), mixed_lookahead (\S+)", at).groups()
+    bound, best, known = map(float, said)
+    assert 0.1 < bound < known
     shares = {}
     for row in rows:
         who, *numbers, mean = re.search(r"0\.05 +(.*): (\S+) \((\S+) ± (\S+) %\), mean (\S+) ± ", row).groups()
