@@ -208,6 +208,20 @@ def test_penalties_are_not_lost_to_rounding(road):
         assert np.abs(factor).max() < 10
 
 
+def test_penalties_are_smaller_in_tails_where_these_are_met():
+    """On a bounded road the noise has tails near the edge, of which single intervals would decide the bound."""
+    road = roadgym.MultiplicativeRoad.from_shape(shape=2.0, bandwidth=0.1).shaping_filter()
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    reach = math.sqrt(2 * (1 / road.flatness + 1))
+    before = 0.92 * reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    moments = RoadMoments(road, 3.0, INTERVAL, sum(DEGREES))
+    mean, central = moments.central(before)
+    far = 5.5 / np.sqrt(central[0, 2])[:, None] * np.stack([central[1, 1], central[0, 2]], axis=-1)
+    size = np.abs(NoisePolynomials(moments, *DEGREES)(before, mean + far)[2]).sum(axis=1)
+    tails = central[0, 10] / (945 * central[0, 2] ** 5)
+    assert size[tails > 10].max() < 0.25 * size[tails < 2].min()
+
+
 def test_results_do_not_depend_on_threads(small):
     task, feedback = task_of(), feedback_of("multiplicative", RANGE, RATIO)
     found = [Relaxation(task, feedback, 0.2, 10, 0, threads, lambda done: None) for threads in (1, 2)]

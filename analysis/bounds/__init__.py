@@ -97,7 +97,7 @@ METHODS: dict[str, Method] = {
         bound=information_relaxation.bound,
         quick=False,
         settings=("seed", "threads", "cache"),
-        revision=2,
+        revision=3,
     ),
 }
 PRESETS: Mapping[str, Callable[[Method], bool]] = MappingProxyType(
