@@ -69,6 +69,7 @@ CONTENT: dict[str, type | tuple[type, ...]] = {  # what agent.json must hold to 
     "saved": str,
 }
 STATISTICS = ("mean", "var", "count")  # of the rewards that are scaled
+TRAINING = "training.pickle"  # in the file of a model that is still trained
 DEFAULT_ENVIRONMENT: dict[str, Any] = {"road": "multiplicative", "speed": (0.5, 3.2), "bandwidth": (0.05, 0.5)}
 
 
@@ -259,8 +260,10 @@ def read_description(path: Path) -> dict[str, Any]:
     return description | {"hyperparameters": complete(description["hyperparameters"])}
 
 
-def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> None:
+def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any], training: bytes | None = None) -> None:
     """Write the model under a new name, then make agent.json name it, then drop the model that it named before.
+
+    With the model lies what `agents.checkpoints` keeps of its ``training``, if that is to go on.
 
     Raises:
         AgentError: it cannot be written; the agent that was there stays.
@@ -282,6 +285,9 @@ def save(folder: Path, model: BaseAlgorithm, description: dict[str, Any]) -> Non
             text.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             with part.open("wb") as file:
                 model.save(file)
+            if training is not None:
+                with zipfile.ZipFile(part, "a") as parts:
+                    parts.writestr(TRAINING, training)
             files.sync(text)
             files.sync(part)
         if before not in (None, name):

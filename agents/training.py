@@ -36,6 +36,7 @@ from .agent import (
     save,
     task_of,
 )
+from .checkpoints import Checkpoints, thawed
 from .errors import AgentError
 from .hyperparameters import HYPERPARAMETERS, load_hyperparameters
 from .progress import training_progress
@@ -60,7 +61,6 @@ from .wrappers import training_reward, with_wrappers, wrapper_names
 with needs("train"):
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -228,31 +228,6 @@ def make_envs(hyperparameters: Mapping[str, Any], environment: Mapping[str, Any]
     )
 
 
-class _Checkpoint(BaseCallback):
-    """Saves the agent every ``interval`` timesteps and reports progress."""
-
-    def __init__(self, folder: Path, description: dict[str, Any], total: int, interval: int, report: Any) -> None:
-        super().__init__()
-        self.folder, self.description, self.total, self.interval, self.report = folder, description, total, interval, report
-        self._next = interval
-
-    def _init_callback(self) -> None:
-        self._next = self.model.num_timesteps + self.interval
-
-    def _on_step(self) -> bool:
-        if self.num_timesteps >= self._next:
-            self._next += self.interval * (1 + (self.num_timesteps - self._next) // self.interval)  # one for all that passed
-            save(self.folder, self.model, self.description)
-        self.report(min(self.num_timesteps, self.total), self.total, self._mean_reward())
-        return True
-
-    def _mean_reward(self) -> float | None:
-        episodes = self.model.ep_info_buffer
-        if not episodes:
-            return None
-        return float(np.mean([episode["r"] / episode["l"] for episode in episodes]))
-
-
 Report = Callable[[int, int, float | None], None]
 
 
@@ -285,11 +260,13 @@ def train(
         seed: fixes roads, weights and exploration; not negative, 0 by default.
         timesteps: control intervals to train for in all, over every environment; by default the hyperparameters' n_timesteps.
             An algorithm learns from whole rollouts (`rollout`), so the last one is completed.
-        checkpoint_interval: timesteps between checkpoints.
+        checkpoint_interval: timesteps between checkpoints, at least; they are between rollouts. Whoever interrupts or kills a
+            training loses what came after the last one.
         resume: go on with the agent in ``folder``; its algorithm, environment, hyperparameters, wrappers and seed hold, and
-            must be those that are given. The noise of the second part is new, so the result differs from that of one unbroken
-            run, but repeats. A replay buffer is not saved: an off-policy algorithm fills it anew, for learning_starts timesteps
-            of random damping, before it learns on.
+            must be those that are given. From a checkpoint the result is that of an unbroken run, bit by bit, where wrappers of
+            one's own can be pickled. An agent that was trained to its end, and is to be trained for longer, meets new noise
+            instead, and an off-policy algorithm, whose replay buffer is gone, fills that anew for learning_starts timesteps of
+            random damping.
         wrappers: functions or classes, or "module:name" of them, around the batch of training, the innermost first, after those
             of the hyperparameters: Gymnasium's vector wrappers or one's own. They may pay other rewards, made of the infos, and
             map actions as a ``VectorActionWrapper`` does, which the agent repeats wherever it drives; observations must stay
@@ -371,12 +348,8 @@ def train(
         remaining = total - model.num_timesteps
         if remaining > 0:
             with training_progress() if report is None else contextlib.nullcontext(report) as tell:
-                callback = _Checkpoint(path, description, total, checkpoint_interval, tell)
-                try:
-                    model.learn(remaining, callback=callback, reset_num_timesteps=not resume, tb_log_name="train")
-                except KeyboardInterrupt:
-                    save(path, model, description)
-                    raise
+                callback = Checkpoints(path, description, total, checkpoint_interval, tell)
+                model.learn(remaining, callback=callback, reset_num_timesteps=not resume, tb_log_name="train")
         if remaining > 0 or new:
             save(path, model, description)
         description = read_description(path)
@@ -438,6 +411,10 @@ def _resumed(path: Path, description: Mapping[str, Any], tensorboard: bool) -> B
     """The model of a folder on environments of its own, to be trained on."""
     load(path)  # a damaged model is reported as such
     hyperparameters, seed, log = description["hyperparameters"], description["seed"], _log(path, tensorboard)
+    unbroken = thawed(path / description["model"])
+    if unbroken is not None:
+        unbroken.tensorboard_log = None if log is None else str(log)
+        return _without_log(unbroken, log)
     envs = make_envs(hyperparameters, description["environment"])
     for key, value in (description["reward_statistics"] or {}).items():
         setattr(envs.ret_rms, key, value)

@@ -65,14 +65,16 @@ class EpisodeWrapper(Layer):
         return None if mask is None or np.all(mask) else mask
 
 
-def _filter(env: Environment | Batch, space: Any, hypotheses: int) -> KalmanFilter:
-    """The filter of what ``env`` observes, which is what its task does."""
+def _filter(env: Environment | Batch, space: Any, hypotheses: int, deviations: Any) -> KalmanFilter:
+    """The filter of what ``env`` observes, which is what its task does; ``deviations`` is checked."""
     layer: Any = env
     task = task_of(env)
     altered = space != task.observation_space
     while layer is not env.unwrapped:
         others = gymnasium.ObservationWrapper, VectorObservationWrapper, KalmanObservation, VectorKalmanObservation
         altered, layer = altered or isinstance(layer, others), layer.env
+    if not isinstance(deviations, bool):
+        raise ParameterError(f"deviations must be True or False, got {shown(deviations)}")
     if altered:
         raise ParameterError(f"env must show the observation of its task to a Kalman filter, got {shown(env)}")
     return KalmanFilter(task, hypotheses)
@@ -113,14 +115,14 @@ class KalmanObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
         hypotheses: as of `roadgym.kalman.KalmanFilter`, where the operating point is hidden, or cars vary.
 
     Raises:
-        ParameterError: a plant that is not linear, or no measured signal.
+        ParameterError: a plant that is not linear, no measured signal, or ``deviations`` that are neither True nor False.
     """
 
     def __init__(self, env: Environment, deviations: bool = False, hypotheses: int = HYPOTHESES) -> None:
         self.arguments: dict[str, Any] = {"deviations": deviations, "hypotheses": hypotheses}
         RecordConstructorArgs.__init__(self, **self.arguments)
         gymnasium.Wrapper.__init__(self, env)
-        self.filter = _filter(env, env.observation_space, hypotheses)
+        self.filter = _filter(env, env.observation_space, hypotheses, deviations)
         self.task, self._deviations = self.filter.full, deviations
         self.observation_space = _space(self.task, deviations)
         self.belief: Belief | None = None
@@ -144,7 +146,7 @@ class VectorKalmanObservation(EpisodeWrapper):
 
     def __init__(self, env: Batch, deviations: bool = False, hypotheses: int = HYPOTHESES) -> None:
         super().__init__(env)
-        self.filter = _filter(env, env.single_observation_space, hypotheses)
+        self.filter = _filter(env, env.single_observation_space, hypotheses, deviations)
         self.task, self._deviations = self.filter.full, deviations
         self.single_observation_space = _space(self.task, deviations)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

@@ -66,6 +66,7 @@ def test_history_tells_what_refinement_brings() -> None:
     history = found().history
     assert [(grid.rings, grid.rays, grid.rows) for grid in history] == list(feedback.GRIDS[: len(history)])
     assert history[-1].cost < 1.002 * history[0].cost
+    assert history[1].sweeps < 0.8 * history[0].sweeps  # a finer table begins with the coarser one
     assert history[-1].expected == pytest.approx(history[-1].cost, rel=0.05)
     assert found().policy.shape[:3] in feedback.GRIDS
 

@@ -176,28 +176,42 @@ def test_c_answers_as_the_agent(each, tmp_path):
     assert (said.returncode, said.stdout[:12]) == (0, "512 vectors,")
 
 
-def test_onnx_answers_as_the_agent(each, tmp_path):
-    runtime = pytest.importorskip("onnxruntime")
-    (file,) = export(each, "onnx", tmp_path)
-    session = runtime.InferenceSession(file)
-    told = session.get_modelmeta().custom_metadata_map
-    assert told["signals"].split() == list(each.task.signals)
-    high, scales = each.task.damping_range[1], scales_of(each.task).astype(np.float32)
-    observations = np.concatenate([driven(each)[:, :32], drawn(each, 2.0)])
-    point = np.array([name in ("speed", "bandwidth") for name in each.task.signals], bool)
+def told(agent, observations):
+    """What is measured where these are observed, and what of it is observed in single precision."""
+    scales = scales_of(agent.task).astype(np.float32)
+    point = np.array([name in ("speed", "bandwidth") for name in agent.task.signals], bool)
     with np.errstate(divide="ignore"):
         measured = np.where(point, observations / (1 - observations), observations).astype(np.float32) * scales
     seen = measured / scales
-    seen = np.where(point, seen / (seen + np.float32(1)), seen)
-    remembered = {value.name: value.shape[1] for value in session.get_inputs()[2:]}
-    handed = {name: np.zeros((len(seen), size), np.float32) for name, size in remembered.items()}
-    found = []
-    for step in range(seen.shape[1]):
-        begins = {"begins": np.full((len(seen), 1), step == 0)} if remembered else {}
+    return measured, np.where(point, seen / (np.where(point, seen, 0) + np.float32(1)), seen)
+
+
+def by_onnx(agent, measured, commanded=None):
+    """Answers of the agent as ONNX, shape (cars, steps), where what was ``commanded`` may be another one."""
+    import onnxruntime
+
+    from agents.export.onnx_graph import onnx_file
+
+    session = onnxruntime.InferenceSession(onnx_file(agent, "agent"))
+    assert session.get_modelmeta().custom_metadata_map["signals"].split() == list(agent.task.signals)
+    kinds, found = {"tensor(float)": np.float32, "tensor(double)": np.float64}, []
+    inputs, names = session.get_inputs()[2:], [value.name.removeprefix("next_") for value in session.get_outputs()[1:]]
+    handed = {value.name: np.zeros((len(measured), *value.shape[1:]), kinds[value.type]) for value in inputs}
+    for step in range(measured.shape[1]):
+        begins = {"begins": np.full((len(measured), 1), step == 0)} if inputs else {}
         damping, *kept = session.run(None, {"measured": measured[:, step], **begins, **handed})
-        handed = dict(zip([value.name.removeprefix("next_") for value in session.get_outputs()[1:]], kept, strict=True))
+        handed = dict(zip(names, kept, strict=True))
+        if commanded is not None:
+            handed["commanded"] = commanded[:, step]
         found.append(damping[:, 0])
-    np.testing.assert_allclose(np.stack(found, axis=1), in_python(each, seen), rtol=0, atol=1e-6 * high)
+    return np.stack(found, axis=1)
+
+
+def test_onnx_answers_as_the_agent(each):
+    pytest.importorskip("onnxruntime")
+    measured, seen = told(each, np.concatenate([driven(each)[:, :32], drawn(each, 2.0)]))
+    high = each.task.damping_range[1]
+    np.testing.assert_allclose(by_onnx(each, measured), in_python(each, seen), rtol=0, atol=1e-6 * high)
 
 
 @pytest.fixture(scope="module")
@@ -235,7 +249,7 @@ def test_observations_are_made_of_what_is_measured(environment, unit, tmp_path):
     task = agent.task
     assert re.search(rf"^ \*   velocity +{unit} +\S+$", header, re.M)
     assert ("a velocity is one in m/s over 3 rad/s" in header) == (unit == "m")
-    assert (f"Times {task.car.damping_unit or 0:.9g} it is in N s/m" in header) == (unit == "m/s")
+    assert (f"times {task.car.damping_unit or 0:.9g} is the damping coefficient in N s/m" in header) == (unit == "m/s")
     assert f"once every {task.control_interval:g} s" in header
     seen = driven(agent)[:, -1]
     measured = (seen * task.signal_scale).astype(np.float32)

@@ -1,17 +1,19 @@
 """Agents that drive by a Kalman filter, in C99: the filter is compiled with them, and tells what it tells in Python."""
 
 import ctypes
+import functools
 import re
 import subprocess
 
 import numpy as np
 import pytest
 import torch
-from test_export import CC, STRICT, driven, driven_both, in_python, needs_compiler, trained
+from test_export import CC, STRICT, by_onnx, driven, driven_both, in_python, needs_compiler, told, trained
 
 import agents
 from agents.export import export
-from agents.export.c_filter import c_filter
+from agents.export.filtering import estimate
+from agents.export.program import Memory, given
 from roadgym.kalman import KalmanFilter
 from roadgym.task import make_task
 
@@ -32,8 +34,30 @@ CASES = {
         {**RANGE, "observation": ["travel", "velocity", "acceleration"], "sensors": SLOW, "valve": {"delay": 0.4, "levels": 5}},
         {},
     ),
-    "a stack, two masses": (
-        {"car": "savaresi", "road": "iso_c", "speed": [15, 25], **TWO},
+    "a bank, a late valve with limited rate and lag": (
+        {
+            "road": "gaussian",
+            "speed": [0.7, 2.0],
+            "bandwidth": 0.2,
+            **TWO,
+            "observe_operating_point": False,
+            "valve": {"delay": 0.3, "rate": 3.0, "rise_time": 0.05, "fall_time": 0.03},
+        },
+        {},
+    ),
+    "a bank over cars that vary and speeds": (
+        {
+            "road": "gaussian",
+            "speed": [0.7, 2.0],
+            "bandwidth": 0.2,
+            **TWO,
+            "observe_operating_point": False,
+            "vary": {"natural_frequency": [0.6, 1.4]},
+        },
+        {},
+    ),
+    "a stack, two masses, a lag": (
+        {"car": "savaresi", "road": "iso_c", "speed": [15, 25], **TWO, "valve": {"fall_time": 0.005}},
         {"frame_stack": 2, "features": None},
     ),
 }
@@ -49,7 +73,7 @@ void commanded(const float *x, const float *commands, float *d, int cars, int st
         agent_init(&state);
         for (int k = car * steps; k < (car + 1) * steps; k++) {
             d[k] = agent_step(&state, x + k * AGENT_SIGNALS);
-            state.damping[0] = commands[k];
+            state.commanded[0] = commands[k];
         }
     }
 }
@@ -67,9 +91,15 @@ def filtering(folder, environment, changes=None):
 
 
 @pytest.fixture(scope="module")
-def ranging(tmp_path_factory):
+def filters(tmp_path_factory):
+    """Agents by the name of their case."""
+    return functools.cache(lambda case: filtering(tmp_path_factory.mktemp("filter") / "a", *CASES[case]))
+
+
+@pytest.fixture(scope="module")
+def ranging(filters):
     """An agent with two sensors over a range of operating points."""
-    return filtering(tmp_path_factory.mktemp("ranging") / "a", {**RANGE, **TWO})
+    return filters("over a range")
 
 
 def in_c(folder):
@@ -100,8 +130,8 @@ def by_the_agent(agent, observations, commands):
 
 @needs_compiler
 @pytest.mark.parametrize("case", list(CASES))
-def test_c_filters_and_answers_as_the_agent(case, tmp_path):
-    agent = filtering(tmp_path / "a", *CASES[case])
+def test_c_filters_and_answers_as_the_agent(case, filters, tmp_path):
+    agent = filters(case)
     export(agent, "c", tmp_path)
     observations, high = driven(agent, 200, 16), agent.task.damping_range[1]
     # rounding may grow where an answer is both what is compared and what the filter takes to move a car that it did not move
@@ -115,8 +145,15 @@ def test_c_filters_and_answers_as_the_agent(case, tmp_path):
 
 
 @needs_compiler
-def test_c_drives_by_the_filter_as_the_agent(ranging, tmp_path):
-    both = driven_both(ranging, tmp_path, True, speeds=[1.0, 1.5], bandwidths=[0.2])
+@pytest.mark.parametrize(
+    ("case", "points"),
+    [
+        ("over a range", {"speeds": [1.0, 1.5], "bandwidths": [0.2]}),
+        ("a bank, a late valve with limited rate and lag", {"speeds": [1.5], "bandwidths": [0.2], "episodes": 16}),
+    ],
+)
+def test_c_drives_by_the_filter_as_the_agent(case, points, filters, tmp_path):
+    both = driven_both(filters(case), tmp_path, True, **points)
     python, c = both["python"], both["c"]
     assert np.all(np.abs(c.mean - python.mean) < 1e-4 * python.mean)
     assert np.all(np.abs(c.mean - python.mean) < 0.1 * python.standard_error)
@@ -142,8 +179,8 @@ def test_what_is_not_measured_tells_nothing(ranging, tmp_path):
 
 
 @needs_compiler
-def test_the_header_tells_the_size_of_what_is_remembered(tmp_path):
-    agent = filtering(tmp_path / "a", CASES["one accelerometer"][0])
+def test_the_header_tells_the_size_of_what_is_remembered(filters, tmp_path):
+    agent = filters("one accelerometer")
     header = export(agent, "c", tmp_path)[0].read_text()
     text = '#include "agent.h"\nint size(void) { return (int)sizeof(agent_state); }\n'
     (tmp_path / "size.c").write_text(text)
@@ -153,21 +190,39 @@ def test_the_header_tells_the_size_of_what_is_remembered(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("environment", "message"),
+    ("changes", "message"),
     [
-        ({"observe_operating_point": False}, "a bank of Kalman filters .*: fix speed and bandwidth, or"),
-        ({"valve": {"rise_time": 0.05}}, "a valve that moves within a control interval: levels and"),
-        ({"warm_up": 5.0}, "no polynomials of speed and bandwidth, as after a warm-up: fix both, or"),
+        ({**RANGE, "warm_up": 5.0}, "no polynomials of speed and bandwidth, as after a warm-up: fix both, or"),
+        ({**FIXED, "vary": {"valve.delay": [0.0, 0.2]}}, "over valves that vary: vary the car alone"),
     ],
 )
-def test_filters_that_cannot_be_exported_are_told_in_one_line(environment, message):
+def test_a_filter_that_cannot_be_exported_is_told_in_one_line(changes, message):
+    known = KalmanFilter(make_task(**{**changes, **TWO}))
     with pytest.raises(agents.AgentError, match=message) as caught:
-        c_filter(KalmanFilter(make_task(**RANGE, **TWO, **environment)))
+        estimate(known, given("observation", (len(known.task.signals),)), Memory())
     assert "\n" not in str(caught.value)
 
 
-def test_onnx_has_no_filter(ranging, tmp_path):
-    pytest.importorskip("onnx")
-    with pytest.raises(agents.AgentError, match="by a Kalman filter to ONNX, in single precision: --to c has it"):
-        export(ranging, "onnx", tmp_path)
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("case", list(CASES))
+def test_onnx_filters_and_answers_as_the_agent(case, filters):
+    pytest.importorskip("onnxruntime")
+    agent = filters(case)
+    observations, high = driven(agent, 40, 8), agent.task.damping_range[1]
+    commands = np.random.default_rng(5).uniform(0, high, observations.shape[:2]).astype(np.float32)
+    measured, seen = told(agent, observations)
+    found = by_onnx(agent, measured, commanded=commands)
+    np.testing.assert_allclose(found, by_the_agent(agent, seen, commands), rtol=0, atol=1e-6 * high)
+
+
+def test_onnx_takes_what_is_not_measured_for_nothing(filters):
+    pytest.importorskip("onnxruntime")
+    agent = filters("over a range")
+    observations = driven(agent, 100, 4)
+    measured, _ = told(agent, observations)
+    commands, lost = in_python(agent, observations), measured.copy()
+    lost[:, 5, :2] = np.nan
+    sound, found = by_onnx(agent, measured, commands), by_onnx(agent, lost, commands)
+    np.testing.assert_array_equal(found[:, :5], sound[:, :5])
+    error = np.abs(found - sound).max(axis=0)
+    assert error[5] > 1e-3  # and it is forgotten
+    assert error[-10:].max() < 0.1 * error[5]

@@ -303,6 +303,12 @@ def test_what_changes_the_observation_is_no_sensor():
             KalmanObservation(changed)
 
 
+def test_deviations_are_shown_or_not():
+    for wrap, env in ((KalmanObservation, QuarterCarEnv()), (VectorKalmanObservation, QuarterCarVectorEnv(2))):
+        with pytest.raises(ParameterError, match="deviations must be True or False, got 'x'"):
+            wrap(env, deviations="x")
+
+
 def test_only_what_the_task_observes_is_measured():
     with pytest.raises(ParameterError, match="must show the observation of its task"):
         KalmanObservation(gymnasium.wrappers.TimeAwareObservation(gymnasium.make("roadgym/QuarterCar-v0")))

@@ -6,9 +6,12 @@ import shutil
 import subprocess
 import sys
 import time
+import zipfile
 
+import gymnasium
 import numpy as np
 import pytest
+import torch
 
 import agents
 import roadgym
@@ -148,6 +151,51 @@ def test_every_algorithm_repeats_by_seed_and_resumes(each, tmp_path):
         np.testing.assert_array_equal(value, second[name])
 
 
+def break_off(done, total, reward):
+    if done >= 0.7 * total:
+        raise KeyboardInterrupt
+
+
+def test_broken_off_training_ends_as_an_unbroken_one(each, tmp_path):
+    algorithm, _, trained = each
+    options = {"algorithm": algorithm, "environment": ENVIRONMENT, "hyperparameters": shrunken(algorithm), "seed": 3}
+    with pytest.raises(KeyboardInterrupt):
+        agents.train(tmp_path, **options, checkpoint_interval=200, report=break_off)
+    assert 200 <= agents.load(tmp_path).description["timesteps"] < 300
+    torch.manual_seed(0)  # whoever goes on is another process
+    resumed = agents.train(tmp_path, resume=True)
+    assert resumed.description["reward_statistics"] == trained.description["reward_statistics"]
+    expected = parameters(trained)
+    for name, value in parameters(resumed).items():
+        np.testing.assert_array_equal(value, expected[name])
+
+
+class Unpicklable(gymnasium.vector.VectorWrapper):
+    """Gymnasium's wrapper with something that no pickle takes."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.file = sys.stdout
+
+
+def test_what_cannot_be_pickled_goes_on_with_new_noise(tmp_path):
+    options = {"environment": ENVIRONMENT, "hyperparameters": SMALL, "wrappers": [Unpicklable]}
+    with pytest.raises(KeyboardInterrupt):
+        agents.train(tmp_path, **options, checkpoint_interval=64, report=break_off)
+    assert 64 <= agents.load(tmp_path).description["timesteps"] < 256
+    assert agents.train(tmp_path, resume=True).description["timesteps"] == 256
+
+
+def test_damaged_checkpoint_goes_on_with_new_noise(tmp_path, caplog):
+    with pytest.raises(KeyboardInterrupt):
+        small_agent(tmp_path, checkpoint_interval=64, report=break_off)
+    model = tmp_path / agents.load(tmp_path).description["model"]
+    with zipfile.ZipFile(model, "a") as parts, pytest.warns(UserWarning, match="Duplicate name"):
+        parts.writestr("training.pickle", b"of another version")
+    assert agents.train(tmp_path, resume=True).description["timesteps"] == 256
+    assert "cannot be gone on with exactly, but with new noise" in caplog.text
+
+
 def test_resumed_replay_fills_before_it_is_learned_from(tmp_path):
     hyperparameters = shrunken("sac") | {"learning_starts": 100}
     trained = agents.train(tmp_path / "a", algorithm="sac", environment=ENVIRONMENT, hyperparameters=hyperparameters, seed=1)
@@ -249,16 +297,17 @@ def test_files_of_others_in_the_folder_are_left_alone(tmp_path):
 def test_checkpoints_after_a_resume_are_as_far_apart_as_before(tmp_path, monkeypatch):
     saved = []
 
-    def note(folder, model, description, save=training.save):
+    def note(folder, model, description, kept=None, save=training.save):
         saved.append(model.num_timesteps)
-        save(folder, model, description)
+        save(folder, model, description, kept)
 
     monkeypatch.setattr("agents.training.save", note)
+    monkeypatch.setattr("agents.checkpoints.save", note)
     small_agent(tmp_path, checkpoint_interval=100)
-    assert saved == [100, 200, 256]
+    assert saved == [128, 256]  # the first of the rollouts of 64
     saved.clear()
-    agents.train(tmp_path, resume=True, timesteps=512, checkpoint_interval=50)
-    assert saved == [308, 356, 408, 456, 508, 512]
+    agents.train(tmp_path, resume=True, timesteps=512, checkpoint_interval=60)
+    assert saved == [320, 384, 448, 512]
 
 
 def test_second_training_in_a_folder_is_refused_at_once(trained, tmp_path):
@@ -273,7 +322,7 @@ def test_second_training_in_a_folder_is_refused_at_once(trained, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         agents.train(folder, resume=True, timesteps=512, report=second)
-    assert (folder / "agent.json").read_bytes() != before  # it was the first that went on, as far as it came
+    assert (folder / "agent.json").read_bytes() == before  # the first one came to no checkpoint
     assert not (folder / ".lock").exists()
     new = tmp_path / "new"
     new.mkdir()

@@ -7,7 +7,8 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, Sensors, TwoMassCar, Valve
+from roadgym import CARS, ROADS, SPEED_NOISES, ParameterError, QuarterCar, TwoMassCar, Valve
+from roadgym.sensors import Sensor
 from roadgym.task import signals
 
 from ..estimation import ESTIMATORS
@@ -102,7 +103,7 @@ ENVIRONMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "type": component,
             "metavar": "JSON",
-            "help": f"mapping of {', '.join(Sensors.__dataclass_fields__)}, each by signal or for all (ideal)",
+            "help": f"mapping of {', '.join(Sensor.__dataclass_fields__)}, by signal or for all, and unit, road or car (ideal)",
         },
     ),
     "valve": (

@@ -14,8 +14,9 @@ from roadgym.vector import QuarterCarVectorEnv
 from ..agent import Agent
 from ..evaluation import drive
 from ..records import Purpose, stream_seed
-from .c_source import CSource, array, number
-from .stages import Array, Value, observe, signal_table, stages_of, write_through
+from .c_printer import BYTES, CPrinter, array, number
+from .program import given
+from .stages import Array, observe, program_of, signal_table
 
 CARS, STEPS = 16, 32  # of the test vectors
 LARGEST_DIFFERENCE = 1e-6  # over the damping range's upper end, by which an answer may differ from that of the agent in Python
@@ -30,9 +31,9 @@ HEADER = """\
 {table}
  *
  * {name}_observe() makes observations, which the agent takes, of what is measured in these units:
- * measured/scale, kept within +-20; for speed and bandwidth x/(1 + x) with x = measured/scale.{rates}
+ * measured/scale, kept within +-20; for speed and bandwidth x/(1 + x) with x = measured/scale.{units}
  *
- * The damping ratio lies within [{low:g}, {high:g}] whatever is measured.{unit}{filter}
+ * The damping ratio lies within [{low:g}, {high:g}] whatever is measured.{filter}
  *
  * C99 and its math.h alone; no memory is allocated, no global is written: any number of dampers may call it at once.
  * {constant} bytes of constants, at most about {variable} bytes on the stack{memory}.
@@ -61,7 +62,7 @@ void {name}_observe(const float measured[{NAME}_SIGNALS], float observation[{NAM
 FILTERED = """
  *
  * It drives by a Kalman filter, which takes each answer to be what was commanded: where something else was, write that into
- * state->damping[0] before the next call. An observation that is NaN counts as not measured."""
+ * state->commanded[0] before the next call. An observation that is NaN counts as not measured."""
 
 PLAIN = """\
 /* The damping ratio for an observation. */
@@ -157,14 +158,17 @@ def vectors(agent: Agent) -> tuple[Array, Array]:
     return np.stack([step[0] for step in steps], axis=1), np.stack([step[1][:, 0] for step in steps], axis=1)
 
 
-def rates_in_metres(task: Task) -> str:
-    """How rates are to be told where the car tells all in metres."""
-    if any(signal.unit != "m" for signal in task.car.motion.signals.values()):
-        return ""
-    return (
-        f"\n * All in m: a velocity is one in m/s over {task.car.natural_frequency:.9g} rad/s, an acceleration one in m/s^2"
-        "\n * over the square of that."
-    )
+def units(task: Task) -> str:
+    """How rates are to be told where the car tells all in metres, and what the damping ratio is in N s/m."""
+    lines = ""
+    if all(signal.unit == "m" for signal in task.car.motion.signals.values()):
+        lines += (
+            f"\n * All in m: a velocity is one in m/s over {task.car.natural_frequency:.9g} rad/s, an acceleration one in m/s^2"
+            "\n * over the square of that."
+        )
+    if task.car.damping_unit:
+        lines += f"\n * The damping ratio times {task.car.damping_unit:.9g} is the damping coefficient in N s/m."
+    return lines
 
 
 def c_files(agent: Agent, name: str) -> dict[str, str]:
@@ -173,52 +177,46 @@ def c_files(agent: Agent, name: str) -> dict[str, str]:
     Raises:
         AgentError: an agent that cannot be written here, in one line that says why.
     """
-    task, size = agent.task, len(agent.task.signals)
+    task, size, printer, program = agent.task, len(agent.task.signals), CPrinter(), program_of(agent)
     words: dict[str, Any] = {"name": name, "NAME": name.upper(), "version": roadgym.__version__, "signals": size}
-    before, source = CSource("o"), CSource("k")
-    observed = observe(task, before, Value("measured", size))
-    damping = write_through(stages_of(agent), source, Value("observation", size))
-    bodies = {
-        "observe": before.statements(f"for (int i = 0; i < {size}; i++) observation[i] = {observed.name}[i];"),
-        "step": source.statements(f"return {damping.name}[0];"),
-    }
+    copy = f"for (int i = 0; i < {size}; i++) observation[i] = {{0}}[i];"
+    words["observe"] = printer.body([observe(task, given("measured", (size,)))], copy)
+    fields = sorted(program.memory.fields.items(), key=lambda field: field[1].kind != "double")  # without gaps between them
+    places = {field: f"{{{k}}}" for k, field in enumerate(program.memory.fields, 1)}
+    end = [f"for (int i = 0; i < {x.size}; i++) state->{field}[i] = {places[field]}[i];" for field, x in fields]
+    words["step"] = printer.body(program.results, "\n".join([*end, *["state->begun = 1;"] * bool(fields), "return {0}[0];"]))
     declarations, text, call = PLAIN, PLAIN_SOURCE, f"{name}_damping("
     memory = begin = state = command = ""
-    if source.state:
-        fields = sorted(source.state.items(), key=lambda field: field[1][0] != "double")  # without gaps between them
-        words["fields"] = "\n".join(f"    {kind} {field}[{length}];" for field, (kind, length) in fields)
+    if fields:
+        words["fields"] = "\n".join(f"    {x.kind} {field}[{x.size}];" for field, x in fields)
         declarations, text, call = REMEMBERING, REMEMBERING_SOURCE, f"{name}_step(&state, "
-        doubles = sum(length for kind, length in source.state.values() if kind == "double")
-        others = 1 + sum(length for kind, length in source.state.values() if kind != "double")
-        memory = f", {8 * doubles + 4 * (others + others % 2 * bool(doubles))} bytes to remember"
         begin, state = f"        if (k % {STEPS} == 0) {name}_init(&state);\n", f"    {name}_state state;\n"
+        taken, align = 4 + sum(BYTES[x.kind] * x.size for _, x in fields), BYTES[fields[0][1].kind]
+        memory = f", {-(-taken // align) * align} bytes to remember"
     if agent.filter is not None:
-        command = "        state.damping[0] = answers[k]; /* which is what the car was told */\n"
+        command = "        state.commanded[0] = answers[k]; /* which is what the car was told */\n"
     low, high = task.damping_range
     header = HEADER.format(
         call=f"{call.partition('(')[0]}()",
         interval=task.control_interval,
         table="\n".join(f" *   {signal:<24}{unit:<8}{scale:.9g}" for signal, unit, scale in signal_table(task)),
-        rates=rates_in_metres(task),
         low=low,
         high=high,
-        unit=f" Times {task.car.damping_unit:.9g} it is in N s/m." if task.car.damping_unit else "",
+        units=units(task),
         filter="" if agent.filter is None else FILTERED,
-        constant=4 * (source.numbers["constant"] + before.numbers["constant"]),
-        variable=4 * source.numbers["variable"],
         memory=memory,
         declarations=declarations.format(**words),
+        **printer.bytes,
         **words,
     )
-    constants = "\n".join([*before.constants, *source.constants])
     check = {"state": state, "begin": begin, "call": f"{call}observations[k])", "high": high, "tolerance": LARGEST_DIFFERENCE}
-    check["command"] = command
     seen, answers = vectors(agent)
     rows = ",\n".join("    {" + ", ".join(map(number, row)) + "}" for row in seen.reshape(-1, size))
     known = {"cars": CARS, "steps": STEPS, "count": answers.size, "rows": rows, "answers": array(answers)}
+    source = SOURCE.format(constants="\n".join(printer.constants.values()), function=text.format(**words), **words)
     return {
         f"{name}.h": header,
-        f"{name}.c": SOURCE.format(constants=constants, function=text.format(**words, **bodies), **words, **bodies),
-        f"{name}_check.c": CHECK.format(**check, **words),
+        f"{name}.c": source,
+        f"{name}_check.c": CHECK.format(**check, command=command, **words),
         f"{name}_vectors.h": VECTORS.format(**known, **words),
     }

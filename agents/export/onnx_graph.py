@@ -1,4 +1,4 @@
-"""Stages as a graph of ONNX, from what is measured to the damping ratio, for any number of cars at once."""
+"""Programs as a graph of ONNX, from what is measured to the damping ratio, for any number of cars at once."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import numpy.typing as npt
 
 import roadgym
 from roadgym.installation import needs
-from roadgym.kalman import KalmanFilter
 
 from ..agent import Agent
-from ..errors import AgentError
-from .stages import Array, Value, Writer, observe, signal_table, stages_of, write_through
+from .program import KINDS, Loop, Printer, Value, given
+from .stages import observe, program_of, signal_table
 
 with needs("onnx"):
     import onnx
@@ -22,132 +21,109 @@ with needs("onnx"):
 
 MEASURED, DAMPING, BEGINS = "measured", "damping", "begins"
 OPSET, IR_VERSION = 17, 8  # of 2022: runtimes in use read it
-SIGNS = {"+": "Add", "-": "Sub", "*": "Mul", "/": "Div"}
-FUNCTIONS = {"ReLU": "Relu", "Tanh": "Tanh", "Sigmoid": "Sigmoid", "ELU": "Elu", "LeakyReLU": "LeakyRelu"}  # with their alpha
+OPERATORS = {
+    "+": "Add",
+    "-": "Sub",
+    "*": "Mul",
+    "/": "Div",
+    ">": "Greater",
+    "rint": "Round",
+    "matmul": "MatMul",
+    **{name: name.capitalize() for name in ("abs", "and", "exp", "floor", "log", "sqrt", "tanh", "where")},
+}
+TYPES = {"float": TensorProto.FLOAT, "double": TensorProto.DOUBLE, "bool": TensorProto.BOOL}
 
 
-class OnnxGraph(Writer):
-    """Collects nodes, constants, and what goes in and comes out beside the signals; a vector has the shape (cars, size).
+class OnnxPrinter(Printer):
+    """Collects nodes and constants; an array has the cars, or one for all of them, as an axis before its own.
 
     Attributes:
-        nodes, constants: of the graph.
-        state: by name, the size of what is kept.
-        kept: by name, what is kept for the next step.
+        lines: the nodes.
+        constants: of the graph.
     """
 
     def __init__(self) -> None:
-        self.nodes: list[Any] = []
+        super().__init__()
         self.constants: list[Any] = []
-        self.state: dict[str, int] = {}
-        self.kept: dict[str, Value] = {}
+        self._count = 0
 
-    def tensor(self, values: npt.ArrayLike, kind: Any = np.float32) -> str:
+    def new(self) -> str:
+        """A new name."""
+        self._count += 1
+        return f"x{self._count}"
+
+    def tensor(self, values: npt.ArrayLike, kind: Any = np.int64) -> str:
         """The name of a new constant."""
-        self.constants.append(numpy_helper.from_array(np.asarray(values, kind), f"k{len(self.constants)}"))
+        self.constants.append(numpy_helper.from_array(np.asarray(values, kind), self.new()))
         return str(self.constants[-1].name)
 
-    def node(self, operator: str, inputs: Sequence[str], size: int, **attributes: Any) -> Value:
-        """What a new node gives."""
-        value = Value(f"x{len(self.nodes)}", size)
-        self.nodes.append(helper.make_node(operator, list(inputs), [value.name], **attributes))
-        return value
+    def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """The name of what a new node gives."""
+        name = self.new()
+        self.lines.append(helper.make_node(operator, list(inputs), [name], **attributes))
+        return name
 
-    def note(self, what: str) -> None:
-        """A graph has no comments."""
+    def each_car(self, x: Value) -> str:
+        """The name of a value; a constant once for each car."""
+        if x.operation != "constant":
+            return self.names[x]
+        cars = self.node("Slice", self.node("Shape", MEASURED), *(self.tensor([k]) for k in (0, 1)))
+        return self.node("Expand", self.names[x], self.node("Concat", cars, self.tensor(x.shape), axis=0))
 
-    def constant(self, values: npt.ArrayLike) -> Value:
-        """A number, or a vector of shape (size,)."""
-        return Value(self.tensor(np.reshape(values, (1, -1))), np.size(values))
+    def write(self, value: Value) -> str:
+        """Write a value, whose inputs are written, and return its name."""
+        operation, detail = value.operation, value.detail
+        inputs = [self.names[x] for x in value.inputs]
+        if operation == "constant":
+            return self.tensor(detail[None], KINDS[value.kind])
+        if operation == "given":
+            if detail != "begun":
+                return str(detail)
+            return self.node("Reshape", self.node("Not", BEGINS), self.tensor([-1]))
+        if operation in KINDS:
+            return self.node("Cast", *inputs, to=TYPES[value.kind])
+        if operation in OPERATORS:
+            return self.node(OPERATORS[operation], *inputs)
+        if operation == "argmax":
+            return self.node("Cast", self.node("ArgMax", *inputs, axis=-1, keepdims=0), to=TYPES[value.kind])
+        if operation == "max":
+            return self.node("ReduceMax", *inputs, axes=[-1], keepdims=0)
+        if operation == "sum":
+            return self.node("ReduceSum", *inputs, self.tensor([-1]), keepdims=0)
+        if operation == "gather":
+            return self.node("Gather", *inputs, self.tensor(detail), axis=1)
+        if operation == "take":
+            row = self.node("Cast", *inputs, to=TensorProto.INT64)
+            return self.node("Gather", self.tensor(detail, KINDS[value.kind]), row, axis=0)
+        if operation == "concat":
+            return self.node("Concat", *map(self.each_car, value.inputs), axis=1)
+        return self.node("Reshape", *inputs, self.tensor([-1, *value.shape]))
 
-    def pick(self, x: Value, places: Sequence[int] | Array) -> Value:
-        """The entries at these places."""
-        return self.node("Gather", [x.name, self.tensor(list(places), np.int64)], len(places), axis=1)
+    def scan(self, value: Value, loop: Loop) -> list[str]:
+        """Write a scan as the operator of that name."""
+        inputs = [self.each_car(x) for x in value.inputs]
+        steps = [] if loop.slices else [self.tensor(np.zeros((1, loop.count)))]  # which says how many there are
+        held = [self.new() for _ in inputs]
+        made, within = self.block(loop, held)
+        results = [self.new() for _ in made]
+        within = [*within, *(helper.make_node("Identity", [x], [y]) for x, y in zip(made, results, strict=True))]
 
-    def join(self, parts: Sequence[Value]) -> Value:
-        """One after the other; constants for as many cars as there are."""
-        rows = [self._each_car(part) for part in parts]
-        return self.node("Concat", [row.name for row in rows], sum(row.size for row in rows), axis=1)
+        def told(names: Sequence[str], values: Sequence[Value]) -> list[Any]:
+            shapes = [[None] * (1 + len(x.shape)) for x in values]
+            known = zip(names, values, shapes, strict=True)
+            return [helper.make_tensor_value_info(name, TYPES[x.kind], shape) for name, x, shape in known]
 
-    def _each_car(self, x: Value) -> Value:
-        """A constant once for each car; anything else as it is."""
-        if x.name not in {known.name for known in self.constants}:
-            return x
-        cars = self.node("Slice", [self.node("Shape", [MEASURED], 2).name, *(self.tensor([k], np.int64) for k in (0, 1))], 1)
-        shape = self.node("Concat", [cars.name, self.tensor([x.size], np.int64)], 2, axis=0)
-        return self.node("Expand", [x.name, shape.name], x.size)
-
-    def combine(self, sign: str, x: Value, y: Value) -> Value:
-        """x + y, x - y, x * y or x / y, entry by entry."""
-        return self.node(SIGNS[sign], [x.name, y.name], max(x.size, y.size))
-
-    def apply(self, name: str, x: Value) -> Value:
-        """One of the functions of each entry."""
-        if name == "SiLU":
-            return self.combine("*", x, self.apply("Sigmoid", x))
-        return self.node(FUNCTIONS[name], [x.name], x.size)
-
-    def clip(self, x: Value, low: float, high: float) -> Value:
-        """Each entry kept within [low, high]."""
-        return self.node("Clip", [x.name, self.tensor(low), self.tensor(high)], x.size)
-
-    def norm(self, x: Value) -> Value:
-        """sqrt(1 + sum of squares), a single number."""
-        total = self.node("ReduceSum", [self.combine("*", x, x).name, self.tensor([1], np.int64)], 1, keepdims=1)
-        return self.node("Sqrt", [self.combine("+", total, self.constant(1.0)).name], 1)
-
-    def affine(self, x: Value, weight: Array, bias: Array) -> Value:
-        """weight x + bias."""
-        return self.node("Gemm", [x.name, self.tensor(weight), self.tensor(bias)], len(bias), transB=1)
-
-    def times(self, matrix: Value, x: Value) -> Value:
-        """The product of a matrix, row after row, and a vector."""
-        rows = matrix.size // x.size
-        whole = self._shaped(matrix.name, rows, x.size)
-        product = self.node("MatMul", [whole, self._shaped(x.name, x.size, 1)], rows)
-        return self.node("Reshape", [product.name, self.tensor([-1, rows], np.int64)], rows)
-
-    def _shaped(self, name: str, rows: int, columns: int) -> str:
-        return self.node("Reshape", [name, self.tensor([-1, rows, columns], np.int64)], columns).name
-
-    def largest(self, x: Value) -> Value:
-        """Place of the largest entry, the first of several."""
-        return self._cast(self.node("ArgMax", [x.name], 1, axis=1, keepdims=1), TensorProto.FLOAT)
-
-    def _cast(self, x: Value, to: int) -> Value:
-        return self.node("Cast", [x.name], x.size, to=to)
-
-    def interpolate(self, x: Value, low: Array, step: Array, table: Array) -> Value:
-        """The bilinear interpolation of a table; where in it takes double precision, as a difference of near numbers."""
-        nodes, _, size = table.shape
-        above = self.node("Sub", [self._cast(x, TensorProto.DOUBLE).name, self.tensor(low, np.float64)], 2)
-        place = self.node("Div", [above.name, self.tensor(step, np.float64)], 2)
-        place = self.node("Clip", [place.name, *(self.tensor(end, np.float64) for end in (0, nodes - 1))], 2)
-        node = self.node("Min", [self.node("Floor", [place.name], 2).name, self.tensor(nodes - 2, np.float64)], 2)
-        share = self._cast(self.node("Sub", [place.name, node.name], 2), TensorProto.FLOAT)
-        rest = self.combine("-", self.constant(1.0), share)
-        known, first = self.tensor(table.reshape(nodes**2, size)), self._cast(node, TensorProto.INT64)
-        along = self.node("Mul", [first.name, self.tensor([nodes, 1], np.int64)], 2)
-        corner = self.node("ReduceSum", [along.name, self.tensor([1], np.int64)], 1, keepdims=0)  # its row in the table
-        total = self.constant(0.0)
-        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            weight = self.combine("*", self.pick(share if a else rest, [0]), self.pick(share if b else rest, [1]))
-            row = self.node("Add", [corner.name, self.tensor(a * nodes + b, np.int64)], 1)
-            found = self.node("Gather", [known, row.name], size, axis=0)
-            total = self.combine("+", total, self.combine("*", weight, found))
-        return total
-
-    def recall(self, name: str, start: Value) -> Value:
-        """What was kept under a name in the step before: an input."""
-        self.state[name] = start.size
-        return self.node("Where", [BEGINS, start.name, name], start.size)
-
-    def keep(self, name: str, x: Value) -> None:
-        """Keep a vector for the next step: an output."""
-        self.kept[name] = x
-
-    def filter(self, known: KalmanFilter, x: Value, damping: Value) -> Value:
-        """Refused: it needs double precision."""
-        raise AgentError("cannot export an agent that sees by a Kalman filter to ONNX, in single precision: --to c has it")
+        given_in = told(held, [*loop.carried, *loop.slices])
+        given_in += [helper.make_tensor_value_info(self.new(), TensorProto.INT64, [None]) for _ in steps]
+        body = helper.make_graph(within, self.new(), given_in, told(results, [*loop.next, *loop.told]))
+        names = [self.new() for _ in made]
+        ones = [1] * len([*loop.slices, *steps])
+        axes: dict[str, Any] = {"scan_input_axes": ones}
+        if loop.told:
+            axes["scan_output_axes"] = [1] * len(loop.told)
+        node = helper.make_node("Scan", [*inputs, *steps], names, body=body, num_scan_inputs=len(ones), **axes)
+        self.lines.append(node)
+        return names
 
 
 def onnx_file(agent: Agent, name: str) -> bytes:
@@ -155,24 +131,31 @@ def onnx_file(agent: Agent, name: str) -> bytes:
     shape (cars, 1).
 
     One that remembers takes ``begins`` too, bool, shape (cars, 1), true where an episode begins, and for each input ``NAME`` of
-    what it remembers, shape (cars, size), gives an output ``next_NAME`` that is to be handed back with the next signals.
+    what it remembers, shape (cars, ...), gives an output ``next_NAME`` that is to be handed back with the next signals.
 
     Raises:
         AgentError: an agent that cannot be written here, in one line that says why.
     """
-    task, writer = agent.task, OnnxGraph()
-    signals = Value(MEASURED, len(task.signals))
-    damping = write_through(stages_of(agent), writer, observe(task, writer, signals))
-    outputs = {DAMPING: damping, **{f"next_{key}": value for key, value in writer.kept.items()}}
-    ends = [helper.make_node("Identity", [value.name], [key]) for key, value in outputs.items()]
+    task, printer = agent.task, OnnxPrinter()
+    signals = given(MEASURED, (len(task.signals),))
+    program = program_of(agent, observe(task, signals))
+    fields = program.memory.fields
+    outputs = {DAMPING: program.answer.reshape(1)}
+    outputs |= zip((f"next_{key}" for key in fields), program.results[1:], strict=True)
+    made = printer.write_all([*outputs.values()])
+    ends = [helper.make_node("Identity", [x], [y]) for x, y in zip(made, outputs, strict=True)]
 
-    def told(key: str, size: int, kind: int = TensorProto.FLOAT) -> Any:
-        return helper.make_tensor_value_info(key, kind, ["cars", size])
+    def told(key: str, value: Value) -> Any:
+        return helper.make_tensor_value_info(key, TYPES[value.kind], ["cars", *value.shape])
 
-    given = [told(MEASURED, signals.size), *([told(BEGINS, 1, TensorProto.BOOL)] if writer.state else [])]
-    given += [told(key, size) for key, size in writer.state.items()]
-    given_back = [told(key, value.size) for key, value in outputs.items()]
-    graph = helper.make_graph([*writer.nodes, *ends], name, given, given_back, writer.constants)
+    inputs = {MEASURED: signals, **({BEGINS: given(BEGINS, (1,), "bool")} if fields else {}), **fields}
+    graph = helper.make_graph(
+        [*printer.lines, *ends],
+        name,
+        [told(key, value) for key, value in inputs.items()],
+        [told(key, value) for key, value in outputs.items()],
+        printer.constants,
+    )
     model = helper.make_model(
         graph,
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -184,8 +167,8 @@ def onnx_file(agent: Agent, name: str) -> bytes:
         "signals": task.signals,
         "units": [unit for _, unit, _ in signal_table(task)],
         "damping_range": task.damping_range,
+        "control_interval": (task.control_interval,),
     }
-    metadata["control_interval"] = (task.control_interval,)
     helper.set_model_props(model, {key: " ".join(map(str, values)) for key, values in metadata.items()})
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString())

@@ -29,9 +29,10 @@ from ..numerals import with_error
 from ..records import Purpose, stream_seed
 from ..results import Share, ratio
 from ..theory import optimum
-from .c_files import rates_in_metres
-from .c_source import array, number
-from .stages import Array, signal_table
+from .c_files import units
+from .c_printer import CPrinter
+from .program import Value, clip, constant, given
+from .stages import Array, interpolate, observe, signal_table
 
 CARS, STEPS, FORGOTTEN = 128, 400, 100  # at each operating point; the first steps are not looked at
 NODES = 15  # of each signal; they are densest at zero, about which answers switch
@@ -219,8 +220,9 @@ def tabulate(
 HEADER = """\
 /* {name}_table: the damping ratio over {a} and {b}{of}, a table of a trained agent, by roadgym {version}.
  *
- * On average over the operating points it costs {loss:.4g} of what the agent costs, 95 % interval {low:.4g} to {high:.4g}.
- * Call it every {interval:g} s with {a} in {unit_a}, {b} in {unit_b}{unit_speed}.{damping_unit}{rates}
+ * On average over the operating points it costs {loss.value:.4g} of what the agent costs,
+ * 95 % interval {loss.low:.4g} to {loss.high:.4g}.
+ * Call it every {interval:g} s with {a} in {unit_a}, {b} in {unit_b}{unit_speed}.{units}
  */
 #ifndef {NAME}_TABLE_H
 #define {NAME}_TABLE_H
@@ -234,82 +236,57 @@ SOURCE = """\
 /* See {name}_table.h. */
 #include "{name}_table.h"
 
-enum {{ N = {nodes}, SPEEDS = {speeds} }};
+#include <math.h>
 
-static const float nodes_a[N] = {nodes_a};
-static const float nodes_b[N] = {nodes_b};
-{speed_nodes}static const float damping[SPEEDS * N * N] = {damping};
-
-/* The cell of x, and how far in it, which lies within [0, 1] whatever x is. */
-static int cell(const float *nodes, int count, float x, float *share)
-{{
-    int k = 0;
-    while (k < count - 2 && x >= nodes[k + 1]) k++;
-    const float s = (x - nodes[k]) / (nodes[k + 1] - nodes[k]);
-    *share = s > 0.0f ? (s < 1.0f ? s : 1.0f) : 0.0f;
-    return k;
-}}
-
-static float slice(const float *d, float x, float y)
-{{
-    float s, t;
-    const float *corner = d + N * cell(nodes_a, N, x, &s);
-    corner += cell(nodes_b, N, y, &t);
-    return (1.0f - s) * ((1.0f - t) * corner[0] + t * corner[1]) + s * ((1.0f - t) * corner[N] + t * corner[N + 1]);
-}}
+{constants}
 
 float {name}_table(float {a}, float {b}{speed})
 {{
+    const float measured[{count}] = {{{given}}};
 {body}
 }}
 """
 
-ONE_SPEED = "    return slice(damping, {a}, {b});"
-MORE_SPEEDS = """\
-    float s;
-    const float share = speed > 0.0f ? speed / (speed + {speed_unit}) : 0.0f;
-    const float *d = damping + N * N * cell(speed_nodes, SPEEDS, share, &s);
-    return (1.0f - s) * slice(d, {a}, {b}) + s * slice(d + N * N, {a}, {b});"""
+
+def look_up(table: Table, observation: Value) -> Value:
+    """The damping of a table for an observation of its signals, of which the speed is left out where the table has one."""
+    places = []
+    for nodes, x in zip((table.shares, *table.nodes), (observation[[-1]], observation[[0]], observation[[1]]), strict=True):
+        if len(nodes) == 1:
+            places.append(constant(0.0, "double"))
+            continue
+        share = (x.of_kind("double") - constant(nodes[:-1], "double")) / constant(np.diff(nodes), "double")
+        places.append(clip(share, 0.0, 1.0).reduced("sum"))
+    return interpolate(places, table.damping)
 
 
 def table_files(result: Tabulated, name: str) -> dict[str, str]:
     """The files by their names, ``name`` first: the table as CSV, and as C99 that looks it up."""
     table, task = result.table, result.table.task
     (a, unit_a, scale_a), (b, unit_b, scale_b), (_, _, speed_unit) = signal_table(task)
-    nodes_a, nodes_b = table.nodes[0] * scale_a, table.nodes[1] * scale_b
     speeds = speed_unit * table.shares / (1 - table.shares)
-    rows = itertools.product(speeds, nodes_a, nodes_b)
+    rows = itertools.product(speeds, table.nodes[0] * scale_a, table.nodes[1] * scale_b)
     lines = [f"speed m/s,{a} {unit_a},{b} {unit_b},damping ratio"]
     lines += [
         ",".join(f"{value:.9g}" for value in (*row, damping)) for row, damping in zip(rows, table.damping.ravel(), strict=True)
     ]
     several = len(speeds) > 1
     words: dict[str, Any] = {"name": name, "NAME": name.upper(), "a": a, "b": b, "version": roadgym.__version__}
-    words["speed"] = ", float speed" if several else ""
-    body = (MORE_SPEEDS if several else ONE_SPEED).format(a=a, b=b, speed_unit=number(speed_unit))
+    words |= {"speed": ", float speed", "given": f"{a}, {b}, speed"} if several else {"speed": "", "given": f"{a}, {b}"}
+    seen = task if several else dataclasses.replace(task, signals=(a, b))
+    printer, count = CPrinter(), len(seen.signals)
+    body = printer.body([look_up(table, observe(seen, given("measured", (count,))))], "return {0}[0];")
     header = HEADER.format(
         of=" and the speed" if several else f" at {speeds[0]:.4g} m/s",
-        loss=result.loss.value,
-        low=result.loss.low,
-        high=result.loss.high,
+        loss=result.loss,
         unit_a=unit_a,
         unit_b=unit_b,
         unit_speed=", speed in m/s" if several else "",
-        rates=rates_in_metres(task),
+        units=units(task),
         interval=task.control_interval,
-        damping_unit=f" Times {task.car.damping_unit:.9g} it is in N s/m." if task.car.damping_unit else "",
         **words,
     )
-    source = SOURCE.format(
-        nodes=NODES,
-        speeds=len(speeds),
-        nodes_a=array(nodes_a),
-        nodes_b=array(nodes_b),
-        speed_nodes=f"static const float speed_nodes[SPEEDS] = {array(table.shares)};\n" if several else "",
-        damping=array(table.damping),
-        body=body,
-        **words,
-    )
+    source = SOURCE.format(constants="\n".join(printer.constants.values()), count=count, body=body, **words)
     return {f"{name}_table.csv": "\n".join(lines) + "\n", f"{name}_table.h": header, f"{name}_table.c": source}
 
 

@@ -17,7 +17,7 @@ from roadgym.processors import processors
 from .worker import serve
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-PATIENCE = 60.0  # s, for a worker that is told to end to save what it has
+PATIENCE = 60.0  # s, for a worker that is told to end
 
 
 def environment() -> dict[str, str]:

@@ -46,7 +46,7 @@ from roadgym.processors import usual_threads
 from roadgym.task import Task, make_task
 
 from ..checks import FloatArray, single_threaded_algebra
-from ..feedback.driving import drive
+from ..feedback.driving import CARS, drive
 from ..feedback.grid import STATE, SingleArray
 from ..feedback.iteration import sharing, tabulate
 from ..feedback.model import Model
@@ -208,6 +208,7 @@ class Relaxation:
                 task,
                 respond,
                 drive_noise,
+                cars=CARS,
                 moving=STATE[:2],
                 precision=DRIVEN * precision,
                 pieces=None,

@@ -16,7 +16,8 @@ from ..control_variates import adjust, control_dampings, expected_squares, least
 from .grid import SingleArray
 from .iteration import Share
 
-LANES_DRIVEN, PIECE = 2560, 250  # cars driven together, and intervals between two looks at the standard error
+CARS, COMPARED_CARS = 2560, 640  # driven together: for the cost, and to compare grids over common noise
+PIECE = 250  # intervals between two looks at the standard error
 FEWEST_PIECES = 3  # the adjusted error is soon small, and shorter drives adjust less well
 
 Respond = Callable[[int, int, SingleArray, SingleArray], None]
@@ -37,6 +38,7 @@ def drive(
     respond: Respond,
     noise: np.random.SeedSequence,
     *,
+    cars: int,
     moving: Sequence[str],
     precision: float,
     pieces: int | None,
@@ -44,7 +46,7 @@ def drive(
     threads: int,
     told: Callable[[float], None],
 ) -> Drive:
-    """Drive a feedback for ``pieces``, or until the relative standard error is at most ``precision``.
+    """Drive ``cars`` by a feedback for ``pieces``, or until the relative standard error is at most ``precision``.
 
     ``respond`` is given a range of rows, observations of ``task``, and the row of D to write to; ``moving`` names the signals
     whose root mean squares are wanted.
@@ -52,32 +54,32 @@ def drive(
     Constant dampings over the same noise serve as control variates, see `analysis.control_variates`. A start at rest leaves
     exp(-2 D_min natural_frequency t) of the variance at most; it is let die out to below 1e-4, and to far less for those.
     """
-    seeds = noise.generate_state(LANES_DRIVEN, np.uint64).astype(np.uint64)
+    seeds = noise.generate_state(cars, np.uint64).astype(np.uint64)
 
     def start() -> tuple[Plant, SingleArray]:
-        plant = Plant(task, LANES_DRIVEN, threads=threads)
+        plant = Plant(task, cars, threads=threads)
         return plant, plant.start(seeds).observations
 
     plant, states = start()
     rows = [task.car.mean_squares.index(name) for name in moving]
     low, high = np.array(task.damping_range, np.float32)
-    damping = np.empty(LANES_DRIVEN, np.float32)
-    total, squares = np.zeros(LANES_DRIVEN), np.zeros(len(rows))
+    damping = np.empty(cars, np.float32)
+    total, squares = np.zeros(cars), np.zeros(len(rows))
     forgotten = 5 / (task.damping_range[0] * task.car.natural_frequency)
     skipped = math.ceil(max(forgotten, least_transient(task)) / task.control_interval)
-    constants = control_dampings(task, skipped * task.control_interval, LANES_DRIVEN)
+    constants = control_dampings(task, skipped * task.control_interval, cars)
     weights = np.array(task.reward)
     expected = weights[weights > 0] @ expected_squares(task, constants, task.speed[0])[weights > 0]  # others may be infinite
     rivals = [start()[0] for _ in constants]
-    held = [np.full(LANES_DRIVEN, constant, np.float32) for constant in constants]
-    controls = np.zeros((len(constants), LANES_DRIVEN))
+    held = [np.full(cars, constant, np.float32) for constant in constants]
+    controls = np.zeros((len(constants), cars))
 
     step, measured, mean, error = 0, 0, 0.0, math.inf
     least = FEWEST_PIECES if pieces is None else pieces
     while measured < least * PIECE or (pieces is None and error > precision * mean):
         for _ in range(PIECE if step >= skipped else skipped):
             seen = states
-            share(LANES_DRIVEN, lambda begin, end, seen=seen: respond(begin, end, seen, damping))
+            share(cars, lambda begin, end, seen=seen: respond(begin, end, seen, damping))
             interval = plant.step(np.clip(damping, low, high, out=damping))
             states = interval.observations
             rewards = [rival.step(constant).reward for rival, constant in zip(rivals, held, strict=True)]
@@ -90,6 +92,6 @@ def drive(
             step += 1
         if measured:
             adjusted = adjust(total / measured, controls / measured, expected)
-            mean, error = float(adjusted.mean()), float(adjusted.std(ddof=1)) / math.sqrt(LANES_DRIVEN)
+            mean, error = float(adjusted.mean()), float(adjusted.std(ddof=1)) / math.sqrt(cars)
             told(min((precision * mean / error) ** 2, measured / (least * PIECE), 1.0))
     return Drive(mean, error, np.sqrt(squares / measured), measured // PIECE)

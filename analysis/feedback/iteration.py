@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
 from roadgym.compiled import compiled
 
@@ -17,7 +18,7 @@ from ..checks import FloatArray
 from .grid import ZERO, SingleArray, add_shifted, interpolate, minimise
 from .model import CHANCE, NODE, NODES, POINTS, Model
 
-SWEEPS, CHECK, SETTLED = 400, 10, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
+SWEEPS, CHECK, SETTLED = 400, 5, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
 # coefficients of t, ..., t^4 of the polynomial through (t_k, q_k), less its constant, from the differences q_k - q_0
 POLYNOMIAL = np.linalg.inv(np.vander(NODE, NODES, increasing=True))[1:, 1:].astype(np.float32)
 
@@ -167,22 +168,43 @@ def settle(
     return expected, done
 
 
-def solve(
-    model: Model, shape: npt.NDArray[np.int64], box: FloatArray, share: Share, told: Callable[[float], None]
-) -> tuple[SingleArray, float, int]:
-    """Relative value iteration: (policy, average cost that the table expects, sweeps)."""
-    _, policy, expected, done = tabulate(model, shape, box, share, told)
-    return policy, expected, done
+Tabulated = tuple[SingleArray, Sequence[int], FloatArray]  # a value, its rings, rays and rows, and its box
+
+
+def regridded(coarse: Tabulated, shape: Sequence[int], box: FloatArray) -> SingleArray:
+    """A tabulated value on another grid by cubic splines, where that is wider by the value at the edge."""
+    value, (rings, rays, rows), side = coarse
+    new_rings, new_rays, new_rows = shape
+    values = value.reshape(rings, rays, rows, rows).astype(float)
+    values = np.concatenate([values, values[:, :1]], axis=1)  # the rays close
+    places = [
+        (np.arange(new_rings) + 0.5) * (rings - 0.5) / (new_rings - 0.5) - 0.5,
+        np.arange(new_rays) * rays / new_rays,
+        *((1 + np.linspace(-1, 1, new_rows) * box[k] / side[k]) * (rows - 1) / 2 for k in range(2)),
+    ]
+    for axis, place in enumerate(places):
+        count = values.shape[axis]
+        values = make_interp_spline(np.arange(count), values, axis=axis)(np.clip(place, 0, count - 1))
+    return np.ascontiguousarray(values.reshape(new_rings * new_rays, new_rows**2), np.float32)
 
 
 def tabulate(
-    model: Model, shape: npt.NDArray[np.int64], box: FloatArray, share: Share, told: Callable[[float], None]
+    model: Model,
+    shape: npt.NDArray[np.int64],
+    box: FloatArray,
+    share: Share,
+    told: Callable[[float], None],
+    coarse: Tabulated | None = None,
 ) -> tuple[SingleArray, SingleArray, float, int]:
-    """`solve`, with the tabulated part w of the value before its results, shape (rings * rays, rows * columns)."""
+    """Relative value iteration: (value, policy, average cost that the table expects, sweeps).
+
+    The value is the tabulated part w before its results, shape (rings * rays, rows * columns). With a ``coarse`` one to begin
+    with, a half to a tenth of the sweeps are left.
+    """
     rings, rays, size = shape.tolist()
     road, offset, index, weight = model.road_step(rings, rays)
     cell = 2 * box / (size - 1)
-    value = np.zeros((rings * rays, size * size), np.float32)
+    value = np.zeros((rings * rays, size * size), np.float32) if coarse is None else regridded(coarse, shape.tolist(), box)
     policy = np.empty((*value.shape, 4), np.float32)
 
     def apply(old: SingleArray, new: SingleArray, target: SingleArray) -> None:

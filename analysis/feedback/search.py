@@ -19,16 +19,16 @@ from roadgym.roads import Road, make_road
 from roadgym.task import Task, make_task
 
 from ..checks import FloatArray
-from .driving import Respond, drive
+from .driving import CARS, COMPARED_CARS, Respond, drive
 from .grid import GRIDS, STATE, SingleArray, evaluate, geometry_of
-from .iteration import sharing, solve
+from .iteration import Tabulated, sharing, tabulate
 from .model import Model
 from .policy import OptimalFeedback, Refinement, kept_path, load, save
 from .settings import COMPARED, Settings, is_refined
 from .white.model import check as check_white
 from .white.search import WhiteRoad, WhiteRoadFeedback
 
-FORMAT = 3  # of the cached files; raise it whenever results change
+FORMAT = 4  # of the cached files; raise it whenever results change
 BOX = 8.0  # half the sides of the rectangle, in root mean squares of the car; 5 of them cost 0.7 % at nu = 3
 
 
@@ -189,6 +189,7 @@ class SecondOrderRoad:
         history: list[Refinement] = []
         chosen: tuple[float, FloatArray, SingleArray] | None = None
         pieces = None
+        coarse: Tabulated | None = None
 
         def rule(box: FloatArray, policy: SingleArray) -> Respond:
             shape = np.array(policy.shape[:3])
@@ -203,11 +204,15 @@ class SecondOrderRoad:
         with sharing(threads) as share:
             for level, (rings, rays, rows) in enumerate(GRIDS[: settings.refinements]):
                 told_here = settings.share_of(level, told)
-                policy, expected, sweeps = solve(model, np.array([rings, rays, rows]), box, share, told_here(0.0, 0.8))
+                value, policy, expected, sweeps = tabulate(
+                    model, np.array([rings, rays, rows]), box, share, told_here(0.0, 0.8), coarse
+                )
+                coarse = value, (rings, rays, rows), box
                 driven = drive(
                     task,
                     rule(box, policy),
                     shared_noise,
+                    cars=COMPARED_CARS,
                     moving=STATE[:2],
                     precision=max(COMPARED, precision),
                     pieces=pieces,
@@ -237,6 +242,7 @@ class SecondOrderRoad:
                 task,
                 rule(box, policy),
                 own_noise,
+                cars=CARS,
                 moving=STATE[:2],
                 precision=precision,
                 pieces=None,

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from roadgym.task import Task
 
 from ...checks import FloatArray
-from ..driving import Respond, drive
+from ..driving import CARS, COMPARED_CARS, Respond, drive
 from ..grid import SingleArray
 from ..iteration import Share, settle, sharing
 from ..policy import Feedback, are_positive, read
@@ -226,6 +226,7 @@ class WhiteRoad:
                     task,
                     driver_of(rule_of(task, model.constant, box, policy)),
                     shared_noise,
+                    cars=COMPARED_CARS,
                     moving=COORDINATES,
                     precision=max(COMPARED, settings.precision),
                     pieces=pieces,
@@ -253,6 +254,7 @@ class WhiteRoad:
                 task,
                 driver_of(rule_of(task, model.constant, box, policy)),
                 own_noise,
+                cars=CARS,
                 moving=COORDINATES,
                 precision=settings.precision,
                 pieces=None,
