@@ -13,7 +13,7 @@ from analysis.bounds import METHODS, STATISTICAL, information_relaxation
 from analysis.bounds.information_relaxation import Relaxation, standard_error
 from analysis.bounds.relaxation.moments import NoisePolynomials, RoadMoments
 from analysis.bounds.relaxation.roads import DEGREES
-from analysis.feedback import driving
+from analysis.feedback import search
 from roadgym.parameters import ParameterError
 from roadgym.plant import Plant
 from roadgym.task import make_task
@@ -53,7 +53,8 @@ def small():
         return Relaxation(task_of(road, damping_range, speed), feedback, 1.0, 30, 3, 1, lambda done: None)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(driving, "LANES_DRIVEN", 512)
+        patch.setattr(search, "CARS", 512)
+        patch.setattr(information_relaxation, "CARS", 512)
         patch.setattr(information_relaxation, "VALUE_GRID", np.array([6, 16, 36]))
         patch.setattr(information_relaxation, "ROWS", 36)
         patch.setattr(information_relaxation, "LEVELS", 9)
