@@ -87,8 +87,11 @@ class APG(OnPolicyAlgorithm):
         env: the environment.
         learning_rate: of Adam, or its schedule.
         n_steps: control intervals of every car between two visits to the plant.
-        horizon: intervals of a stretch through which is differentiated, at most ``n_steps``.
-        gradient_steps: stretches after each visit, one for each step of the optimiser; each is of all cars.
+        horizon: intervals of a stretch through which is differentiated at the end of the training, at most ``n_steps``.
+        first_share: share of the ``horizon`` with which the training begins; from there stretches grow evenly. Short ones teach
+            by and large what is to be done, and long ones rely less on the value of what comes after.
+        gradient_steps: stretches of ``horizon`` after each visit, one for each step of the optimiser; of shorter ones as many
+            more, so that all visits are differentiated through as many intervals. Each is of all cars.
         noise: standard deviation of normal noise on what the policy answers, before it is squashed, in training: so it learns
             too where it would be at an end of the range.
         state_known: share of the training, its beginning, in which the policy sees the state itself along its stretches where
@@ -110,6 +113,7 @@ class APG(OnPolicyAlgorithm):
         learning_rate: float | Schedule = 3e-3,
         n_steps: int = 64,
         horizon: int = 32,
+        first_share: float = 1.0,
         gradient_steps: int = 8,
         noise: float = 0.1,
         state_known: float = 0.5,
@@ -123,6 +127,7 @@ class APG(OnPolicyAlgorithm):
         _init_setup_model: bool = True,
     ) -> None:
         self.horizon = whole("horizon", horizon)
+        self.first_share = within("first_share", first_share, "mixing")
         self.gradient_steps = whole("gradient_steps", gradient_steps)
         self.noise = non_negative("noise", noise)
         self.state_known = within("state_known", state_known, "mixing")
@@ -202,10 +207,12 @@ class APG(OnPolicyAlgorithm):
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         roads: Any = self.rollout_buffer
-        starts, length = roads.windows(self.horizon)
-        known = 1 - self._current_progress_remaining <= self.state_known
+        done = 1 - self._current_progress_remaining
+        share = self.first_share + (1 - self.first_share) * done
+        starts, length = roads.windows(max(1, round(share * self.horizon)))
+        known = done <= self.state_known
         costs, norms = [], []
-        for _ in range(self.gradient_steps):
+        for _ in range(round(self.gradient_steps * self.horizon / length)):
             start = int(starts[int(torch.randint(len(starts), ()))])
             cost = roads.cost(self.policy.network, start, length, self.noise, known)
             self.policy.optimizer.zero_grad()

@@ -15,12 +15,13 @@ import numpy as np
 
 from roadgym import ROADS, files
 from roadgym.files import whole_file
-from roadgym.parameters import ParameterError, shown
+from roadgym.parameters import ParameterError, shown, whole
 
 from .errors import AgentError
 
 LOCK = ".lock"  # in the folder of a training or a comparison while it runs
 PACKAGES = ("roadgym", "gymnasium", "stable-baselines3", "torch", "numpy", "numba", "scipy")
+LARGEST_SEED = 2**32 - 1  # of torch and NumPy, which stable-baselines3 seeds
 
 
 class Purpose(enum.IntEnum):
@@ -42,6 +43,12 @@ class Purpose(enum.IntEnum):
 def stream_seed(*entropy: int) -> int:
     """A base seed for a batch of environments, 63 bits, from integers: the user's seed, a `Purpose`, and more if need be."""
     return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def check_seed(seed: int) -> None:
+    """Raise `ParameterError` unless a training can have this seed."""
+    if whole("seed", seed, low=0) > LARGEST_SEED:
+        raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
 
 
 def training_seed(seed: int, timesteps: int) -> int:

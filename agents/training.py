@@ -43,6 +43,7 @@ from .progress import training_progress
 from .records import (
     LOCK,
     PACKAGES,
+    check_seed,
     differing,
     lasting,
     locked,
@@ -115,13 +116,6 @@ OWN_HYPERPARAMETERS = (  # all others go to the algorithm
     "estimator",
     "wrappers",
 )
-LARGEST_SEED = 2**32 - 1  # of torch and NumPy, which stable-baselines3 seeds
-
-
-def check_seed(seed: int) -> None:
-    """Raise `ParameterError` unless a training can have this seed."""
-    if whole("seed", seed, low=0) > LARGEST_SEED:
-        raise ParameterError(f"seed must be at most {LARGEST_SEED} for a training, got {seed}")
 
 
 def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = (), estimator: str | None = None) -> str:

@@ -63,8 +63,9 @@ SEARCH_SPACES: dict[str, dict[str, Any]] = {
     "apg": {
         "learning_rate": (1e-3, 1e-2),
         "net_arch": _COMMON["net_arch"],
-        "horizon": [16, 32, 48, 64],
-        "gradient_steps": [4, 8, 16],
+        "horizon": [32, 48, 64, 96],
+        "first_share": [0.25, 0.5, 1.0],
+        "gradient_steps": [4, 6, 8],
         "noise": (0.03, 0.3),
     },
     "ppo": _PROXIMAL,

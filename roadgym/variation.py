@@ -22,7 +22,7 @@ from .cars import Car
 from .cars.varied import SERIES, VariedCar, in_terms_of
 from .compiled import LANES, compiled
 from .linear import Motion
-from .noise import CAR, philox, uniform
+from .noise import CAR, keys_from_seeds, philox, uniform
 from .parameters import RANGES, ParameterError, number, shown
 from .record import EPISODE, KEY
 from .reward import divergence_cause, divergent_terms
@@ -146,6 +146,12 @@ class Variation:
         _fill(words, counters[key], counters[key + 1], counters[EPISODE // LANES], shares)
         low, high = np.array([ends for _, *ends in self.ranges]).T[:, :, None]
         return np.asarray(low + (high - low) * shares)
+
+    def first_draws(self, seeds: npt.NDArray[np.uint64]) -> npt.NDArray[np.float64]:
+        """The values in the first episodes of environments with these seeds, shape (fields, n)."""
+        counters = np.full((EPISODE // LANES + 1, len(seeds)), 0xFFFFFFFF, np.uint32)  # episodes before the first
+        counters[KEY // LANES : KEY // LANES + 2] = keys_from_seeds(seeds)
+        return self.draws(counters)
 
 
 @compiled

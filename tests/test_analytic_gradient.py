@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import agents
 from agents.analytic_gradient import APG
 from agents.controllers import make_controller
-from agents.differentiable import Seen, values
+from agents.differentiable import DrivenRoads, Seen, values
 from agents.evaluation import evaluate
 from agents.features import Sight
 from agents.report import theory_given
@@ -20,7 +20,7 @@ from roadgym import ParameterError
 from roadgym.task import make_task
 
 RANGES = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.4)}
-SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "gradient_steps": 4, "features": ["products"]}
+SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "first_share": 1.0, "gradient_steps": 4, "features": ["products"]}
 PLANTS = {
     "bounded": {"road": "multiplicative", **RANGES},
     "comfort": {"road": "gaussian", "reward": {"acceleration": 1.0, "travel": 0.5}, **RANGES},
@@ -250,10 +250,19 @@ def test_episodes_that_end_within_what_is_driven_are_not_differentiated_through(
             assert not ended[start : start + length].any()
 
 
+def test_stretches_grow_and_become_fewer(monkeypatch):
+    lengths, cost = [], DrivenRoads.cost
+    monkeypatch.setattr(DrivenRoads, "cost", lambda roads, *given: lengths.append(given[2]) or cost(roads, *given))
+    model = make_model("apg", parameters(first_share=0.25, gradient_steps=2), PLANTS["bounded"], 3, None)
+    model.learn(4 * 512)
+    assert lengths == [4] * 4 + [5] * 3 + [6] * 3 + [8] * 2  # 16 intervals a visit, or nearly
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"horizon": 17}, "horizon must be at most n_steps, 16, got 17"),
+        ({"first_share": 1.5}, "first_share must lie within"),
         ({"gradient_steps": 0}, "gradient_steps must be at least 1"),
         ({"noise": -1.0}, "noise must not be negative"),
         ({"frame_stack": 2}, "frame_stack must be 1 for a gradient through the plant, got 2"),

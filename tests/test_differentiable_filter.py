@@ -21,7 +21,9 @@ PLANTS = {
     "two masses": {"road": "iso_c", "car": "two_mass", "speed": 20.0, **SENSED},
     "third order": {"road": "two_corner", "speed": 1.0, "observation": ["velocity"], "sensors": {"noise": 0.01}},
 }
-SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "gradient_steps": 4, "features": ["products"], "estimator": "kalman"}
+SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "first_share": 1.0, "gradient_steps": 4, "features": ["products"]} | {
+    "estimator": "kalman"
+}
 
 
 def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman"):

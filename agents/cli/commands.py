@@ -219,7 +219,7 @@ def run_compare(chosen: argparse.Namespace) -> None:
     from ..certified import check_bound
     from ..comparison import AGENT, compare, group_agents, table, write
     from ..progress import Stopwatch, work_progress
-    from ..records import LOCK, locked, make_folder
+    from ..records import LOCK, check_seed, locked, make_folder
 
     seeds = range(0)
     if chosen.agent:
@@ -245,8 +245,6 @@ def run_compare(chosen: argparse.Namespace) -> None:
     for package, extra in (("stable_baselines3", "train"), ("matplotlib", "report"), ("jinja2", "report"), ("yaml", "report")):
         require(package, extra)  # before the work
     if seeds:
-        from ..training import check_seed
-
         check_seed(seeds[-1])
     folder = make_folder(_results_folder(chosen, kinds))
     steps, watch = 3 if seeds else 2, Stopwatch()

@@ -26,9 +26,8 @@ def run_sweep(chosen: argparse.Namespace) -> int:
     """``roadgym sweep``; exit code 1 if any of it failed."""
     from ..certified import check_bound
     from ..jobs import executor
-    from ..records import make_folder
+    from ..records import check_seed, make_folder
     from ..sweep import sweep, table
-    from ..training import check_seed
 
     seeds = range(chosen.seed, chosen.seed + whole("seeds", chosen.seeds))
     check_seed(seeds[-1])
