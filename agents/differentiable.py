@@ -44,13 +44,13 @@ class DrivenRoads:
         estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
 
     Raises:
-        ParameterError: a stack of observations, a valve of limited rate, cars that vary, or sensors without one plain filter of
-            them; or such a filter behind a valve.
+        ParameterError: a stack of observations, a valve of limited rate, cars that differ by more than their valves, or sensors
+            without one plain filter of them; or such a filter behind a valve, or of cars that differ.
     """
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int, estimator: Filtering | None = None) -> None:
         if not is_differentiable(task, None if estimator is None else "kalman"):
-            needed = "sensors must be ideal, the rate of the valve unlimited, and cars alike,"
+            needed = "sensors must be ideal, the rate of the valve unlimited, and cars alike but for its times,"
             if estimator is not None:
                 needed = "sensors and valve must be ideal but for noise, speed and bandwidth known, and cars alike,"
             raise ParameterError(f"{needed} for a gradient through the plant: choose another algorithm")
@@ -76,17 +76,22 @@ class DrivenRoads:
         self._ended = np.zeros((steps, num_envs), np.bool_)
         self._points = np.empty((0, 2))
 
-    def note(self, step: int, state: npt.NDArray[np.float64], rate: npt.NDArray[np.float64]) -> None:
+    def note(
+        self, step: int, state: npt.NDArray[np.float64], rate: npt.NDArray[np.float64], drawn: npt.NDArray[np.float64]
+    ) -> None:
         """Record where a step begins, and after the last one where it ends.
 
         Args:
             step: its number.
             state: as of `roadgym.vector.QuarterCarVectorEnv.state`.
             rate: of the angle of the road now, over w1, shape (num_envs,).
+            drawn: what varies from car to car, as in `roadgym.plant.Plant.drawn_now`.
         """
         self._states[step] = np.column_stack([state, rate])
         if self._filter is not None:
             self._filter.note(step)
+        if self._valve is not None:
+            self._valve.meet(drawn)
 
     def answer(
         self, step: int, seen: npt.NDArray[np.float32], action: npt.NDArray[np.float32], ended: npt.NDArray[np.bool_]

@@ -122,8 +122,8 @@ def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = (), esti
     """The algorithm where none is named: "apg", or "ppo" where that cannot be.
 
     That is where hyperparameters are ``chosen``, which are those of "ppo"; with wrappers, which may pay for something else than
-    the cost; behind a valve of limited rate, or any with an ``estimator``; with cars that differ; and behind sensors without an
-    ``estimator``, or of which it makes more than one plain filter.
+    the cost; behind a valve of limited rate, or any with an ``estimator``; with cars that differ by more than the times of
+    their valves; and behind sensors without an ``estimator``, or of which it makes more than one plain filter.
     """
     return "ppo" if chosen or wrappers or not is_differentiable(task, estimator) else "apg"
 

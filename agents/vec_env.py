@@ -213,9 +213,9 @@ class QuarterCarVecEnv(VecEnv):
             raise ParameterError(f"wrappers must be none for a gradient through the plant, got {', '.join(self._wrappers)}")
         return DrivenRoads(self.envs.task, Sight(self.task, *self._seen), self.num_envs, steps, self._estimator)
 
-    def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """The states of `roadgym.vector.QuarterCarVectorEnv.state`, and the rate of the road's angle over w1 now."""
-        return self.envs.state(), self.envs.plant.row("rate").astype(float)
+    def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """The states of `roadgym.vector.QuarterCarVectorEnv.state`, the rate of the road's angle over w1, what was drawn."""
+        return self.envs.state(), self.envs.plant.row("rate").astype(float), self.envs.plant.drawn_now
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions, shape (num_envs, 1), or (num_envs,) where they are levels, for `step_wait`."""

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import agents
+import analysis
 from agents.hyperparameters import load_hyperparameters
 from agents.results import ratio
 from agents.training import usual_algorithm
@@ -94,7 +95,9 @@ def main() -> None:
     best, full = known["analytic_optimum"], known[chosen.rule]
     points = [(speed, bandwidth) for speed in chosen.speeds for bandwidth in chosen.bandwidths]
     for point, constant, feedback in zip(points, best, full, strict=True):
-        print(f"at {point}: best constant damping {constant.mean():.4f}, {chosen.rule} {feedback.mean():.4f}")
+        bound = analysis.lower_bound(task, speed=point[0], bandwidth=point[1])  # of who knows the whole state, so of all
+        found = f"best constant damping {constant.mean():.4f}, {chosen.rule} {feedback.mean():.4f}"
+        print(f"at {point}: no controller below {bound.cost:.4f}, {found}")
     print("by sensors and their noise, at each of these points: cost (share of the gap); and the mean share")
     for sensors in chosen.sensors:
         measured = {**plant, "observation": SENSORS[sensors], "observe_operating_point": not chosen.hide_operating_point}

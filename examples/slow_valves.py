@@ -3,9 +3,10 @@
     python examples/slow_valves.py
 
 takes a quarter of an hour on one core. Each line is a valve: a lag, a delay, or a number of levels, and nothing else. Rules
-with a parameter are tuned behind that valve, or with ``--unaware`` on the ideal one. With ``--agents`` an agent drives too that
-has learned with an ideal valve, and one that has learned behind that valve; both see the state, and not what the valve does.
-They are kept in a folder, from which the script goes on.
+with a parameter are tuned behind that valve, or with ``--unaware`` on the ideal one. With ``--agents`` three drive too that see
+the state, and not what the valve does: one that has learned with an ideal valve, one that has learned behind that valve, and
+one that has met another lag, up and down, and another delay in each episode, up to the longest that are asked for. They are
+kept in a folder, from which the script goes on.
 """
 
 from __future__ import annotations
@@ -68,7 +69,10 @@ def main() -> None:
     plant: dict[str, Any] = {"road": chosen.road, "speed": chosen.speed, "car": CAR, "reward": REWARD}
     best = float(optimum(make_task(**plant), chosen.speed, 0.0).cost)
     print(f"the best constant damping costs {best:.4g}; over it")
-    columns = [*chosen.rules, *(("agent, unaware", "agent, aware") if chosen.agents else ())]
+    lag, delay = (max(times, default=0.0) / 1e3 for times in (chosen.lags, chosen.delays))
+    longest = {"valve.rise_time": lag, "valve.fall_time": lag, "valve.delay": delay}
+    many = {**plant, "vary": {name: (0.0, time) for name, time in longest.items() if time}}
+    columns = [*chosen.rules, *(("agent, unaware", "agent, aware", "agent, of many") if chosen.agents else ())]
     print(f"{'':>15}", *(f"{name:>20}" for name in columns))
     for said, valve in valves(chosen.lags, chosen.delays, chosen.levels).items():
         environment = {**plant, "valve": valve}
@@ -77,6 +81,7 @@ def main() -> None:
             folder = Path(chosen.output)
             rivals["agent, unaware"] = learned(plant, folder / "ideal", chosen.timesteps)
             rivals["agent, aware"] = learned(environment, folder / said.replace(" ", "-"), chosen.timesteps)
+            rivals["agent, of many"] = learned(many, folder / "many", chosen.timesteps)
         results = agents.evaluate(
             rivals,
             environment=environment,

@@ -30,6 +30,14 @@ def state_names(task: Task) -> tuple[str, ...]:
     return (*task.car.motion.states, "level", "slope", "speed", "bandwidth")
 
 
+def told_states(plant: Plant) -> npt.NDArray[np.float64]:
+    """What the environments' ``state`` tells, shape (num_envs, states + 4)."""
+    task = plant.task
+    units = {} if task.vary is None else task.vary.unit_rows(plant.car_row)
+    rows = [plant.row(name) * (plant.row(units[name]) if name in units else 1) for name in state_names(task)]
+    return np.stack(rows, axis=1).astype(np.float64)
+
+
 def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
     """The options of a reset as a dictionary; an unknown name, or what is no mapping, raises `ParameterError`."""
     if options is None:
@@ -140,7 +148,8 @@ class QuarterCarEnv(gymnasium.Env[npt.NDArray[np.float32], npt.NDArray[np.float3
 
     def state(self) -> npt.NDArray[np.float64]:
         """State of the car, then (Z, U, nu, delta), in one row; see `roadgym.vector.QuarterCarVectorEnv.state`."""
-        return np.array([self.plant.row(name)[0] for name in state_names(self.task)], float)
+        found: npt.NDArray[np.float64] = told_states(self.plant)[0]
+        return found
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control interval with the damping ratio ``action``, shape (1,)."""

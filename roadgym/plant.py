@@ -106,8 +106,8 @@ class Plant:
         road, noise, vary = task.road, task.speed_noise, task.vary
         self._driven = car = task.car if vary is None else vary.driven_car
         self._slowest = valve = task.valve if vary is None else vary.slowest_valve
-        self._car = COEFFICIENT + road.rows * LANES
-        self._filters = self._car + car.rows * LANES
+        self.car_row = COEFFICIENT + road.rows * LANES
+        self._filters = self.car_row + car.rows * LANES
         self._own_states = len(car.motion.own.states)
         end, sensors = self._filters + (len(car.motion.states) - self._own_states) * LANES, task.real_sensors
         sources = {name: self._observed_code(name) for name in sensors}
@@ -156,7 +156,7 @@ class Plant:
             "infinite": np.array([name in infinite for name in signals], np.int64),
         }
         self._connect()
-        self.drawn = self._drawn = np.zeros((0 if vary is None else len(vary.names), num_envs))
+        self.drawn = self.drawn_now = np.zeros((0 if vary is None else len(vary.names), num_envs))  # told; who drives on
         if vary is not None:  # lanes beyond the last environment keep the nominal car
             nominal = vary.driven_car.numbers(task.car, task.valve, 1.0, self._substep, task.control_interval, self._met)
             self._own_numbers[:] = nominal[:, None]
@@ -229,12 +229,12 @@ class Plant:
             **valve.numbers(task.control_interval, car.natural_frequency),
             "valve_moves": not task.holds_damping,
             "block_size": self._block_size,
-            "car": self._car,
+            "car": self.car_row,
             "work": compiled.WORK + (car.squared + car.working_rows) * LANES,
             "warm_up_steps": round(task.warm_up / task.control_interval),
             "max_episode_steps": self._max_episode_steps,
             "autoreset": DISABLED if self._restarts else self._autoreset,
-            **({} if vary is None else vary.places(self._car)),
+            **({} if vary is None else vary.places(self.car_row)),
             "substep": self._substep,
             "warm_up_damping": task.warm_up_damping,
             "saturation": SATURATION,
@@ -250,7 +250,7 @@ class Plant:
     @property
     def _own_numbers(self) -> npt.NDArray[Any]:
         """The numbers of each lane's own car, shape (blocks, rows, LANES)."""
-        rows = slice(self._car // LANES + STATES, self._filters // LANES)
+        rows = slice(self.car_row // LANES + STATES, self._filters // LANES)
         return self._state.reshape(self.blocks, -1, LANES)[:, rows]
 
     def _draw(self, mask: npt.NDArray[np.bool_]) -> None:
@@ -261,8 +261,8 @@ class Plant:
         where = np.flatnonzero(mask)
         block, lane = np.divmod(where, LANES)
         values = vary.draws(np.ascontiguousarray(self._counter_rows[block, :, lane].T))
-        self._drawn = self._drawn.copy()  # the old ones may have been told
-        self._drawn[:, where] = values
+        self.drawn_now = self.drawn_now.copy()  # the old ones may have been told
+        self.drawn_now[:, where] = values
         rows = vary.numbers(values, self._substep, self.task.control_interval, self._met)
         self._own_numbers[block, :, lane] = rows.T
 
@@ -340,7 +340,7 @@ class Plant:
         self._fields[MASK], self._fields[FORCED] = mask.ctypes.data, forced.ctypes.data
         self._draw(mask)
         self._run(self._reset)
-        self.started, self.drawn = True, self._drawn
+        self.started, self.drawn = True, self.drawn_now
         return self._interval(observations, results, rewards, np.zeros(self.num_envs, np.bool_), observations)
 
     def _taken(self) -> tuple[npt.NDArray[Any], ...]:
@@ -361,7 +361,7 @@ class Plant:
         self._asked[:] = actions
         if self.task.vary is not None:
             self._draw(self._counter_rows[:, PENDING // LANES].reshape(-1)[: self.num_envs] != 0)
-            self.drawn = self._drawn
+            self.drawn = self.drawn_now
         self._run(self._step)
         if self._restarts and truncated.any():
             final[:] = observations
@@ -424,8 +424,8 @@ class Plant:
     def _offset(self, row: str | int) -> int:
         states = self.task.car.motion.states
         if row in states:
-            place = states.index(str(row))
-            return self._car + place * LANES if place < self._own_states else self._filters + (place - self._own_states) * LANES
+            place, own = states.index(str(row)), self._own_states
+            return self.car_row + place * LANES if place < own else self._filters + (place - own) * LANES
         if row == "damping" and not self.task.ideal_valve:
             return self._valve
         return BUS[row] if isinstance(row, str) else row

@@ -22,7 +22,7 @@ from .cars import Car
 from .cars.varied import SERIES, VariedCar, in_terms_of
 from .compiled import LANES, compiled
 from .linear import Motion
-from .noise import CAR, philox, uniform
+from .noise import CAR, keys_from_seeds, philox, uniform
 from .parameters import RANGES, ParameterError, number, shown
 from .record import EPISODE, KEY
 from .reward import divergence_cause, divergent_terms
@@ -117,6 +117,17 @@ class Variation:
             "own_valve": self.varies_valve * (first + car.valve_row),
         }
 
+    def unit_rows(self, first: int) -> dict[str, int]:
+        """Rows of what makes of a state the signal of its name, as the nominal car tells it, for each state that is a signal.
+
+        Args:
+            first: as of `places`.
+        """
+        motion, begin = self.car.motion, self.places(first)["own_signals"]
+        signals = enumerate(motion.signals.items())
+        rows = {name: k * (len(motion.states) + 3) for k, (name, signal) in signals if dict(signal.terms) == {name: 1.0}}
+        return {name: begin + (rows[name] + k) * LANES for k, name in enumerate(motion.states) if name in rows}
+
     def numbers(
         self, values: npt.NDArray[np.float64], substep: float, interval: float, damping: tuple[float, float]
     ) -> npt.NDArray[np.float64]:
@@ -135,6 +146,12 @@ class Variation:
         _fill(words, counters[key], counters[key + 1], counters[EPISODE // LANES], shares)
         low, high = np.array([ends for _, *ends in self.ranges]).T[:, :, None]
         return np.asarray(low + (high - low) * shares)
+
+    def first_draws(self, seeds: npt.NDArray[np.uint64]) -> npt.NDArray[np.float64]:
+        """The values in the first episodes of environments with these seeds, shape (fields, n)."""
+        counters = np.full((EPISODE // LANES + 1, len(seeds)), 0xFFFFFFFF, np.uint32)  # episodes before the first
+        counters[KEY // LANES : KEY // LANES + 2] = keys_from_seeds(seeds)
+        return self.draws(counters)
 
 
 @compiled

@@ -13,7 +13,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, state_names
+from .env import RESET_OPTIONS, QuarterCarEnv, check_options, check_render_mode, told_states
 from .moved import moved
 from .parameters import ParameterError, shown, single_precision, whole
 from .plant import Interval, Plant
@@ -185,9 +185,10 @@ class QuarterCarVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """The states of the car, then (Z, U, nu, delta), whatever is observed; shape (num_envs, 6) with one mass, (Y, X) first.
 
         States and level are in units of the road's standard deviation, X = (dY/dt)/w1 and U = (dZ/dt)/(speed * wavenumber), 0
-        on a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth.
+        on a road that has no slope; nu = speed * wavenumber / w1 with the mean speed, and delta is the bandwidth. Of cars that
+        vary w1 is that of the nominal one, so a state that can be observed is what an ideal sensor tells of it.
         """
-        return np.stack([self.plant.row(name) for name in state_names(self.task)], axis=1).astype(float)
+        return told_states(self.plant)
 
     def _begin_histories(self, mask: npt.NDArray[np.bool_]) -> None:
         """Forget what the masked environments drove before the episode that they are at the start of."""

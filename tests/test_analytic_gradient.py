@@ -35,6 +35,13 @@ PLANTS = {
         "observation": ["acceleration", "travel"],
         "valve": {"delay": 0.25, "rise_time": 0.1, "fall_time": 0.05},
     },
+    "valves that differ": {
+        "road": "gaussian",
+        **RANGES,
+        "observation": ["acceleration", "travel"],
+        "valve": {"fall_time": 0.06},
+        "vary": {"valve.delay": [0.0, 0.5], "valve.rise_time": [0.05, 0.1]},
+    },
 }
 
 
@@ -117,9 +124,18 @@ def test_what_another_damping_does_to_the_car_is_what_the_environment_does():
     assert (moved[1] - moved[0] - changed).abs().max() < 0.03 * changed.abs().max()
 
 
-@pytest.mark.parametrize("valve", [PLANTS["slow valve"]["valve"], {"levels": 3, "delay": 0.4}, {"levels": 4, "rise_time": 0.1}])
-def test_a_valve_in_torch_is_that_of_the_environment(valve):
-    envs = QuarterCarVecEnv(16, max_episode_steps=7, environment=PLANTS["bounded"] | {"valve": valve}, features=["signals"])
+@pytest.mark.parametrize(
+    ("valve", "vary"),
+    [
+        (PLANTS["slow valve"]["valve"], None),
+        ({"levels": 3, "delay": 0.4}, None),
+        ({"levels": 4, "rise_time": 0.1}, None),
+        ({"fall_time": 0.1}, {"valve.delay": [0.0, 0.5], "valve.rise_time": [0.0, 0.3]}),
+    ],
+)
+def test_a_valve_in_torch_is_that_of_the_environment(valve, vary):
+    plant = PLANTS["bounded"] | {"valve": valve, "vary": vary}
+    envs = QuarterCarVecEnv(16, max_episode_steps=7, environment=plant, features=["signals"])
     seen, roads, rng = envs.reset(), envs.driven_roads(10), np.random.default_rng(1)
     low, high = envs.task.damping_range
     for step in range(10):  # beyond the end of an episode
@@ -193,6 +209,8 @@ def test_it_is_what_is_trained_where_nothing_is_chosen(tmp_path):
     for task in (slow, hidden, late):
         assert usual_algorithm(task, False, (), "kalman") == "ppo"
     assert usual_algorithm(make_task(), False) == "apg"
+    for field, chosen in (("valve.delay", "apg"), ("valve.rate", "ppo"), ("natural_frequency", "ppo")):
+        assert usual_algorithm(make_task(vary={field: [0.5, 1.0]}), False) == chosen
 
 
 def test_other_wrappers_of_stable_baselines_do_not_disturb():

@@ -261,6 +261,7 @@ def test_where_there_is_no_bound_the_reason_is_told_without_raising_or_with():
     varied = make_task(car="two_mass", road="iso_c", speed=20.0, vary={"sprung_mass": (200.0, 280.0)})
     for method in METHODS.values():  # past the front door too
         assert "cars that differ" in method.refusal(varied)
+        assert (method.refuses(varied) is None) == method.each_car
     slow = make_task(road="gaussian", speed=1.0, valve={"rise_time": 0.1})
     assert refusal(slow) is None  # the damping may move at any time
     assert "an ideal valve" in refusal(slow, "information_relaxation")

@@ -13,7 +13,7 @@ from analysis.bounds import METHODS, STATISTICAL, information_relaxation
 from analysis.bounds.information_relaxation import Relaxation, standard_error
 from analysis.bounds.relaxation.moments import NoisePolynomials, RoadMoments
 from analysis.bounds.relaxation.roads import DEGREES
-from analysis.feedback import driving
+from analysis.feedback import search
 from roadgym.parameters import ParameterError
 from roadgym.plant import Plant
 from roadgym.task import make_task
@@ -53,7 +53,8 @@ def small():
         return Relaxation(task_of(road, damping_range, speed), feedback, 1.0, 30, 3, 1, lambda done: None)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(driving, "LANES_DRIVEN", 512)
+        patch.setattr(search, "CARS", 512)
+        patch.setattr(information_relaxation, "CARS", 512)
         patch.setattr(information_relaxation, "VALUE_GRID", np.array([6, 16, 36]))
         patch.setattr(information_relaxation, "ROWS", 36)
         patch.setattr(information_relaxation, "LEVELS", 9)
@@ -206,6 +207,20 @@ def test_penalties_are_not_lost_to_rounding(road):
         mean, _ = moments.central(before)
         _, _, factor = NoisePolynomials(moments, *DEGREES)(before, mean)
         assert np.abs(factor).max() < 10
+
+
+def test_penalties_are_smaller_in_tails_where_these_are_met():
+    """On a bounded road the noise has tails near the edge, of which single intervals would decide the bound."""
+    road = roadgym.MultiplicativeRoad.from_shape(shape=2.0, bandwidth=0.1).shaping_filter()
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    reach = math.sqrt(2 * (1 / road.flatness + 1))
+    before = 0.92 * reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    moments = RoadMoments(road, 3.0, INTERVAL, sum(DEGREES))
+    mean, central = moments.central(before)
+    far = 5.5 / np.sqrt(central[0, 2])[:, None] * np.stack([central[1, 1], central[0, 2]], axis=-1)
+    size = np.abs(NoisePolynomials(moments, *DEGREES)(before, mean + far)[2]).sum(axis=1)
+    tails = central[0, 10] / (945 * central[0, 2] ** 5)
+    assert size[tails > 10].max() < 0.25 * size[tails < 2].min()
 
 
 def test_results_do_not_depend_on_threads(small):

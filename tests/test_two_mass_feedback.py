@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def few_cars() -> Iterator[None]:
     """What it drives is enough here to choose, and takes seconds."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("analysis.feedback.driving.LANES_DRIVEN", 512)
+        patch.setattr("analysis.feedback.white.search.CARS", 512)
         yield
 
 

@@ -20,7 +20,7 @@ from agents.report import notes
 from agents.wrappers import training_reward
 from analysis.bounds import refusal
 from roadgym import ParameterError, TwoMassCar
-from roadgym.env import QuarterCarEnv
+from roadgym.env import QuarterCarEnv, state_names
 from roadgym.task import make_task
 from roadgym.vector import QuarterCarVectorEnv
 
@@ -61,6 +61,10 @@ def test_what_is_driven_is_the_car_that_was_drawn(plant, vary):
     low, high = task.damping_range
     commands = np.random.default_rng(0).uniform(low, high, 40)
     (observations, rewards), infos = drive(envs, commands)
+    states = dict(zip(state_names(task), envs.state().T, strict=True))
+    for k, name in enumerate(task.signals):
+        if name in task.car.motion.states:
+            np.testing.assert_allclose(states[name], observations[-1, :, k], rtol=1e-6)
     for i in range(3):
         drawn = {name: infos[0][name][i] for name in vary}
         car = dataclasses.replace(task.car, **{name: value for name, value in drawn.items() if name[:6] != "valve."})

@@ -42,7 +42,7 @@ class Reference:
         constant, constant_error: its cost, and the standard error of that; 0 where theory knows it.
         best, best_error: the cost of the best known controller, likewise.
         room, room_error: the share of the constant damping's cost that it saves, and the standard error of that.
-        bound: what every controller costs at least; None where nothing is known.
+        bound: what every controller costs at least, less two standard errors where it has one; None where nothing is known.
     """
 
     point: OperatingPoint
@@ -181,7 +181,7 @@ def make_references(
                 best_error=error,
                 room=1 - cost / constant,
                 room_error=room_error,
-                bound=bound.cost if isinstance(bound := bounds[k], LowerBound) else None,
+                bound=bound.safe if isinstance(bound := bounds[k], LowerBound) else None,
             )
         )
     how = dict.fromkeys(METHODS[each.method].title if isinstance(each, LowerBound) else each for each in bounds)

@@ -16,7 +16,7 @@ from roadgym.installation import InstallationError
 from roadgym.parameters import ParameterError, shown, whole, within
 from roadgym.task import Task
 
-from . import information_relaxation, matrix_inequality, pathwise_multipliers, sums_of_squares
+from . import information_relaxation, matrix_inequality, pathwise_multipliers, sums_of_squares, varied
 from .bound import PROVED, RIGOURS, SOLVED, STATISTICAL, LowerBound
 from .kept import described, kept_files, kept_path, load, save
 from .matrix_inequality import MatrixCertificate
@@ -45,7 +45,8 @@ class Method:
         title: the method in words, after "by".
         refusal: of a task, why there is no such bound, in a few words; None where there is.
         bound: of (task, speed, bandwidth), the bound; it takes ``report``, and those of ``settings``, as keywords.
-        quick: does it take a second or two at most?
+        quick: does it take a second or two at most, for one car?
+        each_car: where cars differ from episode to episode, is it taken of each, and the mean over them? Else there is none.
         settings: those of "seed", "threads" and "cache" of `lower_bound` that it takes.
         revision: of results that are kept; raise it whenever they change. None where they are found sooner than read.
     """
@@ -54,14 +55,33 @@ class Method:
     refusal: Callable[[Task], str | None]
     bound: Callable[..., LowerBound]
     quick: bool = True
+    each_car: bool = False
     settings: tuple[str, ...] = ()
     revision: int | None = None
 
+    def refuses(self, task: Task) -> str | None:
+        """Why there is no such bound for ``task``, whose car may vary, in a few words; None where there is."""
+        return self.refusal(dataclasses.replace(task, vary=None) if self.each_car else task)
+
+    def of(
+        self, task: Task, speed: float, bandwidth: float, settings: Mapping[str, Any], report: Callable[[int, int], None]
+    ) -> LowerBound:
+        """The bound of ``task``; where its car varies, the mean over cars that the setting "seed" draws."""
+        if task.vary is None:
+            return self.bound(task, speed, bandwidth, **settings, report=report)
+        return varied.mean_bound(task, task.vary, settings["seed"], lambda one: self.bound(one, speed, bandwidth), report)
+
 
 METHODS: dict[str, Method] = {
-    "matrix_inequality": Method(title="a matrix inequality", refusal=matrix_inequality.refusal, bound=matrix_inequality.bound),
+    "matrix_inequality": Method(
+        title="a matrix inequality", refusal=matrix_inequality.refusal, bound=matrix_inequality.bound, each_car=True
+    ),
     "sums_of_squares": Method(
-        title="sums of squares", refusal=sums_of_squares.refusal, bound=sums_of_squares.bound, revision=2
+        title="sums of squares",
+        refusal=sums_of_squares.refusal,
+        bound=sums_of_squares.bound,
+        each_car=True,
+        revision=2,
     ),
     "pathwise_multipliers": Method(
         title="pathwise multipliers",
@@ -77,7 +97,7 @@ METHODS: dict[str, Method] = {
         bound=information_relaxation.bound,
         quick=False,
         settings=("seed", "threads", "cache"),
-        revision=2,
+        revision=3,
     ),
 }
 PRESETS: Mapping[str, Callable[[Method], bool]] = MappingProxyType(
@@ -111,7 +131,7 @@ def refusal(task: Task, method: str = "fast") -> str | None:
     """
     if not isinstance(task, Task):
         raise ParameterError(f"task must be one that roadgym.task.make_task made, got {shown(task)}")
-    reasons = [each.refusal(task) for each in chosen_methods(method).values()]
+    reasons = [each.refuses(task) for each in chosen_methods(method).values()]
     return None if None in reasons else "; ".join(dict.fromkeys(reason for reason in reasons if reason is not None))
 
 
@@ -161,12 +181,12 @@ def lower_bound(
         "threads": None if threads is None else whole("threads", threads, of="threads"),
         "cache": cache,
     }
-    methods = {name: each for name, each in chosen_methods(method).items() if each.refusal(task) is None}
+    methods = {name: each for name, each in chosen_methods(method).items() if each.refuses(task) is None}
     found: list[LowerBound] = []
     failed: list[ParameterError | InstallationError] = []
     for turn, (name, each) in enumerate(methods.items()):
         told = _turn(report, turn, len(methods))
-        settings = {setting: given[setting] for setting in each.settings}
+        settings = {setting: given[setting] for setting in (("seed",) if task.vary is not None else each.settings)}
         try:
             found.append(_kept(name, each, task, speed, bandwidth, settings, cache, told))
         except (ParameterError, InstallationError) as error:
@@ -212,10 +232,10 @@ def _kept(
         matters = {setting: value for setting, value in settings.items() if setting == "seed"}
         text = described(task, speed, bandwidth, method=name, revision=method.revision, **matters)
     if cache is None or text is None:
-        return method.bound(task, speed, bandwidth, **settings, report=told)
+        return method.of(task, speed, bandwidth, settings, told)
     path = kept_path(cache, text)
     found = load(path, text)
     if found is None:
-        found = method.bound(task, speed, bandwidth, **settings, report=told)
+        found = method.of(task, speed, bandwidth, settings, told)
         save(path, text, found)
     return found

@@ -191,7 +191,6 @@ class Relaxation:
     ) -> None:
         road_noise, drive_noise = np.random.SeedSequence(seed).spawn(2)
         dampings = levels(task, LEVELS)
-        some = dampings[::2]
         model = Model(task)
         self._box, self._intervals = feedback.box, intervals
         rings, rays, rows = VALUE_GRID.tolist()
@@ -200,7 +199,7 @@ class Relaxation:
         self.bracket, self.gaps, self.changes = np.empty(0), np.empty(0), np.empty(0)
 
         def respond(begin: int, end: int, states: SingleArray, damping: SingleArray) -> None:
-            damping[begin:end] = some[nearest(some, feedback.damping(states[begin:end]))]
+            damping[begin:end] = dampings[nearest(dampings, feedback.damping(states[begin:end]))]
 
         with sharing(threads) as share:
             self._value, _, expected, _ = tabulate(model, VALUE_GRID, self._box, share, lambda done: told(0.4 + 0.1 * done))
@@ -224,7 +223,6 @@ class Relaxation:
                     dampings,
                     self._chain.chain.maps,
                     feedback,
-                    2,
                     paths=GROUP,
                     intervals=intervals,
                     seeds=road_noise.spawn(1)[0].generate_state(GROUP, np.uint64).astype(np.uint64),

@@ -38,6 +38,7 @@ def described(task: Task, speed: float, bandwidth: float, **more: Any) -> str | 
         "interval": task.control_interval * task.car.natural_frequency,
         "ratio": task.frequency_ratio(speed),
         "bandwidth": bandwidth,
+        **({} if task.vary is None else {"vary": task.vary.ranges, "car": dataclasses.asdict(task.car)}),
         **more,
     }
     try:

@@ -19,6 +19,7 @@ from ...checks import FloatArray
 Exponents = tuple[int, ...]
 
 ROUNDING = 1e-3  # of a polynomial of the noise: what rounding of its mean could be at most
+HEAVY = 2.0  # even moments of the noise over those of Gaussian noise: the largest of a degree that is kept
 
 
 class RoadMoments:
@@ -95,7 +96,9 @@ class NoisePolynomials:
     noise has.
 
     Central moments of high degree lose their digits to rounding where there is little noise, as near the edge of a bounded
-    road. Products of which more than `ROUNDING` could be lost are left out; with little noise they matter little.
+    road. Products of which more than `ROUNDING` could be lost are left out; with little noise they matter little. There the
+    noise of the driven state has longer tails too, at which a polynomial of high degree is large and nothing that the function
+    is: degrees whose moment is more than `HEAVY` times that of Gaussian noise are left out likewise, by the state before.
 
     Args:
         moments: of the road, up to the sum of both degrees at least.
@@ -123,6 +126,9 @@ class NoisePolynomials:
             terms = [math.comb(k, j) * (-follows) ** j * moment[k - j, i + j] for j in range(k + 1)]
             powers[:, i, k] = xi**i * zeta**k - np.sum(terms, axis=0) / (slope**i * level**k)
             kept[:, i, k] = np.finfo(float).eps * (size / slope) ** i * (size / level) ** k < ROUNDING
+        for i in range(2, len(along), 2):  # and the odd degree before
+            gaussian = math.prod(range(1, i, 2)) * slope**i
+            kept[:, i - 1 : i + 1] *= (moment[0, i] < HEAVY * gaussian)[:, None, None]
         products = kept * np.einsum("nab,ia,kb->nik", powers, along_series, across_series, optimize=True)
         factor = np.einsum("nik,pi,qk->npq", products, along_values, across_values, optimize=True).reshape(len(before), -1)
         first, second = (nodes.ravel() for nodes in np.meshgrid(along, across, indexing="ij"))

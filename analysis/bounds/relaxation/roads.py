@@ -19,7 +19,7 @@ from .inner import Chain, IndexArray, Steps
 from .moments import NoisePolynomials, RoadMoments
 
 # even degrees of the polynomials in the noise of the slope, and in what of the level's does not follow from it
-DEGREES = (10, 2)
+DEGREES = (10, 4)
 FINER = 3  # substeps for each of the task's: the polynomials ask for more of the road's moments than a cost does
 
 
@@ -58,7 +58,6 @@ class Drives:
         dampings: FloatArray,
         maps: FloatArray,
         feedback: OptimalFeedback,
-        stride: int,
         *,
         paths: int,
         intervals: int,
@@ -71,13 +70,12 @@ class Drives:
             task: the plant; signals `STATE` are observed.
             dampings, maps: constant dampings, and what an interval makes of (Y, X) at each.
             feedback: at its operating point.
-            stride: every so many of the dampings may be chosen.
             paths, intervals, seeds, threads: how many roads, how long, and which.
         """
         plant = Plant(dataclasses.replace(task, substeps=FINER * task.substeps), paths * (len(dampings) + 1), threads=threads)
         states = plant.start(np.tile(seeds, len(dampings) + 1)).observations
         actions = np.repeat(np.append(dampings, 0.0), paths).astype(np.float32)
-        some, own = dampings[::stride], slice(len(dampings) * paths, None)
+        own = slice(len(dampings) * paths, None)
         settling = math.ceil(8 / (task.car.decay(task.damping_range[0]) * task.car.natural_frequency) / task.control_interval)
         shape = (len(dampings) + 1, paths, len(STATE))
         roads, added, cars, choices = [], [], [], []
@@ -90,10 +88,10 @@ class Drives:
                 roads.append(after[0, :, 2:])
                 cars.append(after[-1, :, :2])
             if step < settling + intervals:
-                chosen = nearest(some, feedback.damping(states[own]))
-                actions[own] = some[chosen]
+                chosen = nearest(dampings, feedback.damping(states[own]))
+                actions[own] = dampings[chosen]
                 if step >= settling:
-                    choices.append(chosen * stride)
+                    choices.append(chosen)
                 before, states = after, plant.step(actions).observations
         return cls(np.array(roads), np.moveaxis(np.array(added), 1, 2), np.array(cars), np.array(choices))
 
