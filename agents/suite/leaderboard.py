@@ -22,9 +22,10 @@ from .scoring import score, to_json
 FILE = Path(__file__).parent / "leaderboard.json"
 LEGEND = (
     "score: per cent of the way from the best constant damping to the best known feedback, a mean over operating points, after "
-    "± its 95 % interval over roads and training seeds; of one seed, over roads alone. At: speed, m/s, and bandwidth."
+    "± its 95 % interval over roads and training seeds; of one seed, over roads alone. At: speed, m/s, and bandwidth. "
+    "Trained: seeds, times steps of each."
 )
-HEAD = ("entry", "kind", "steps", "seeds", "score", "worst point")
+HEAD = ("entry", "kind", "trained", "score", "worst point")
 
 
 def read(file: str | Path = FILE) -> list[dict[str, Any]]:
@@ -65,8 +66,8 @@ def write(rows: Iterable[Mapping[str, Any]], file: str | Path) -> None:
     write_atomically(path, json.dumps({"format": 1, "rows": list(kept.values())}, indent=1) + "\n")
 
 
-def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """A row in the columns of `HEAD`."""
+def cells(row: Mapping[str, Any], brief: bool = False) -> tuple[str, ...]:
+    """A row in the columns of `HEAD`; a ``brief`` one leaves out the interval at the worst point."""
 
     def share(known: Mapping[str, float]) -> str:
         half = (known["high"] - known["low"]) / 2
@@ -74,21 +75,21 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         return f"{known['value']:.{digits}f} ±{half:.{digits}f}"
 
     where = f"{row['worst_speed']:g}" + (f", {row['worst_bandwidth']:g}" if row["worst_bandwidth"] else "")
-    seeds = str(len(row["seeds"])) if row["steps"] else "-"
-    steps = f"{row['steps'] / 1e6:.2g} M" if row["steps"] else "-"
-    return (row["entry"], row["kind"], steps, seeds, share(row["mean"]), f"{share(row['worst'])} at {where}")
+    trained = f"{len(row['seeds'])} x {row['steps'] / 1e6:.2g} M" if row["steps"] else "-"
+    worst = f"{row['worst']['value']:.0f}" if brief else share(row["worst"])
+    return (row["entry"], row["kind"], trained, share(row["mean"]), f"{worst} at {where}")
 
 
 def bound_row(task: SuiteTask) -> tuple[str, ...]:
     """The row of the lower bound."""
     score = references(task).bound_score
-    return ("lower bound", "bound", "-", "-", "n/a" if score is None else f"{score:.1f}", "-")
+    return ("lower bound", "bound", "-", "n/a" if score is None else f"{score:.1f}", "-")
 
 
-def lines(task: SuiteTask, rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """The rows of a task in the columns of `HEAD`, which is the first: the lower bound, then the best first."""
+def lines(task: SuiteTask, rows: Sequence[Mapping[str, Any]], brief: bool = False) -> list[tuple[str, ...]]:
+    """The rows of a task in the columns of `HEAD`, which is the first: the lower bound, then the best first; see `cells`."""
     own = sorted((row for row in rows if row["task"] == task.name), key=lambda row: -row["mean"]["value"])
-    return [HEAD, bound_row(task), *map(cells, own)]
+    return [HEAD, bound_row(task), *(cells(row, brief) for row in own)]
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -97,12 +98,12 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     for task in TASKS.values():
         if not any(row["task"] == task.name for row in rows):
             continue
-        columns = list(zip(*lines(task, rows), strict=True))
+        columns = list(zip(*lines(task, rows, brief=True), strict=True))
         widths = [max(map(len, column)) for column in columns]
         text += wrapped(f"{task.id}: {task.title}")
         for line in zip(*columns, strict=True):
             left = [line[k].ljust(widths[k]) for k in (0, 1)]
-            right = [line[k].rjust(widths[k]) for k in (2, 3, 4)]
-            text.append("  ".join([*left, *right, line[5]]).rstrip())
+            right = [line[k].rjust(widths[k]) for k in (2, 3)]
+            text.append("  ".join([*left, *right, line[4]]).rstrip())
         text.append("")
     return "\n".join([*text, *wrapped(LEGEND)])
