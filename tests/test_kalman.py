@@ -117,8 +117,7 @@ def test_innovations_are_white_and_errors_as_predicted(sensors):
     assert fresh[1:, :, 1].mean() == {"slow": 12 / 40, "delay": 39 / 40}.get(sensors, 1)  # what is told anew
     np.testing.assert_allclose(belief.valve[:, 0], envs.plant.row("damping") if valve or vary else info["damping"], atol=3e-7)
     names = known.full.signals[:4]
-    true = truth(envs, names) * ([1, 1.3, 1, 1] if vary else 1)  # whose velocity is over the natural frequency of its car
-    errors = (known.observation(belief)[:, :4] - true) / known.deviations(belief)[:, :4]
+    errors = (known.observation(belief)[:, :4] - truth(envs, names)) / known.deviations(belief)[:, :4]
     for error in errors.T:
         assert abs((error**2).mean() - 1) * np.sqrt(len(error) / 2) < 4
 

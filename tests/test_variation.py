@@ -18,7 +18,6 @@ from agents.cli import main
 from agents.hyperparameters import load_hyperparameters
 from agents.report import notes
 from agents.wrappers import training_reward
-from analysis.bounds import refusal
 from roadgym import ParameterError, TwoMassCar
 from roadgym.env import QuarterCarEnv, state_names
 from roadgym.task import make_task
@@ -271,7 +270,7 @@ def test_evaluations_draw_cars_for_all_alike_and_claim_no_theory():
     (note,) = (text for name, text in notes(compared) if name == "cars")
     assert "sprung_mass within 180 to 300" in note
     assert "nominal" in note
-    assert refusal(task) == "cars that differ from episode to episode"
+    assert all(0 < row.bound.cost < row.cost for row in compared.rows)  # a mean over cars that are drawn
 
 
 def test_an_agent_trains_on_cars_that_differ_and_keeps_their_law(tmp_path):
