@@ -36,8 +36,7 @@ def frozen(model: BaseAlgorithm) -> bytes | None:
     try:
         # what VecNormalize leaves out of its pickles goes beside it
         content: bytes = cloudpickle.dumps((model, envs.venv, envs.returns, *_random_states()))
-    except Exception as error:  # it is somebody else's
-        logging.getLogger("roadgym").debug("a training that cannot be kept: %s", error)
+    except Exception:  # it is somebody else's
         return None
     finally:
         model._logger = log
@@ -84,7 +83,7 @@ class Checkpoints(BaseCallback):
     ) -> None:
         super().__init__()
         self._folder, self._description, self._total, self._interval = folder, description, total, interval
-        self._report, self._next = report, interval
+        self._report, self._next, self._warned = report, interval, False
 
     def _init_callback(self) -> None:
         self._next = self.model.num_timesteps + self._interval
@@ -92,7 +91,11 @@ class Checkpoints(BaseCallback):
     def _on_rollout_start(self) -> None:
         if self.model.num_timesteps >= self._next:
             self._next += self._interval * (1 + (self.model.num_timesteps - self._next) // self._interval)  # one for all passed
-            save(self._folder, self.model, self._description, frozen(self.model))
+            kept = frozen(self.model)
+            if kept is None and not self._warned:
+                self._warned = True
+                logging.getLogger("roadgym").warning("wrappers cannot be pickled: a resumed training will meet new noise")
+            save(self._folder, self.model, self._description, kept)
 
     def _on_step(self) -> bool:
         self._report(min(self.num_timesteps, self._total), self._total, self._mean_reward())

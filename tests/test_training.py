@@ -178,10 +178,11 @@ class Unpicklable(gymnasium.vector.VectorWrapper):
         self.file = sys.stdout
 
 
-def test_what_cannot_be_pickled_goes_on_with_new_noise(tmp_path):
+def test_what_cannot_be_pickled_goes_on_with_new_noise(tmp_path, caplog):
     options = {"environment": ENVIRONMENT, "hyperparameters": SMALL, "wrappers": [Unpicklable]}
     with pytest.raises(KeyboardInterrupt):
         agents.train(tmp_path, **options, checkpoint_interval=64, report=break_off)
+    assert caplog.text.count("wrappers cannot be pickled") == 1
     assert 64 <= agents.load(tmp_path).description["timesteps"] < 256
     assert agents.train(tmp_path, resume=True).description["timesteps"] == 256
 
