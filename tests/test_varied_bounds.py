@@ -21,6 +21,14 @@ def test_the_cars_are_those_that_the_environment_draws():
     np.testing.assert_array_equal(task.vary.first_draws(seeds), plant.drawn)
 
 
+def test_one_car_that_is_drawn_has_the_bound_of_that_car():
+    """Its mass alone is another, so its damper covers other damping ratios."""
+    drawn = make_task(**COMFORT | {"vary": {"sprung_mass": (180.0, 180.0001)}})  # bounds change by less than 1e-6 within
+    same = make_task(car=roadgym.TwoMassCar(sprung_mass=180.0), road="iso_c", speed=20.0)
+    bounds = [analysis.lower_bound(task, method="matrix_inequality").cost for task in (drawn, same)]
+    assert bounds[0] == pytest.approx(bounds[1], rel=3e-6)
+
+
 @pytest.mark.statistical
 def test_where_the_damper_is_nearly_fixed_it_is_the_mean_of_the_closed_forms():
     """The law by Gauss's rule, and each car by itself, with the damper of the nominal one, in N s/m."""
