@@ -88,8 +88,8 @@ class APG(OnPolicyAlgorithm):
         learning_rate: of Adam, or its schedule.
         n_steps: control intervals of every car between two visits to the plant.
         horizon: intervals of a stretch through which is differentiated at the end of the training, at most ``n_steps``.
-        first_share: share of the ``horizon`` with which the training begins; from there stretches grow evenly. Short ones teach
-            by and large what is to be done, and long ones rely less on the value of what comes after.
+        first_share: share of the ``horizon`` with which the training begins; from there stretches grow by equal factors. Short
+            ones teach by and large what is to be done, and long ones rely less on the value of what comes after.
         gradient_steps: stretches of ``horizon`` after each visit, one for each step of the optimiser; of shorter ones as many
             more, so that all visits are differentiated through as many intervals. Each is of all cars.
         noise: standard deviation of normal noise on what the policy answers, before it is squashed, in training: so it learns
@@ -208,7 +208,7 @@ class APG(OnPolicyAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         roads: Any = self.rollout_buffer
         done = 1 - self._current_progress_remaining
-        share = self.first_share + (1 - self.first_share) * done
+        share = self.first_share ** (1 - done)
         starts, length = roads.windows(max(1, round(share * self.horizon)))
         known = done <= self.state_known
         costs, norms = [], []
