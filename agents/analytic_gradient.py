@@ -21,6 +21,7 @@ from roadgym.installation import needs
 from roadgym.parameters import ParameterError, non_negative, positive, shown, whole, within
 
 from .differentiable import DrivenRoads
+from .muon import Muon
 
 with needs("train"):
     import torch
@@ -43,6 +44,7 @@ class DampingPolicy(BasePolicy):
         net_arch: sizes of the hidden layers.
         activation_fn: between them.
         noise: standard deviation of what is added to the answer where the policy is not deterministic.
+        optimizer_class: what trains it; gradients of many cars have little noise, which suits `agents.muon.Muon`.
         options: of stable-baselines3's policies, such as ``optimizer_kwargs``.
     """
 
@@ -54,9 +56,10 @@ class DampingPolicy(BasePolicy):
         net_arch: Sequence[int] = (64, 64),
         activation_fn: type[torch.nn.Module] = torch.nn.ReLU,
         noise: float = 0.0,
+        optimizer_class: type[torch.optim.Optimizer] = Muon,
         **options: Any,
     ) -> None:
-        super().__init__(observation_space, action_space, squash_output=True, **options)
+        super().__init__(observation_space, action_space, squash_output=True, optimizer_class=optimizer_class, **options)
         self.net_arch, self.activation_fn, self.noise = list(net_arch), activation_fn, noise
         self.features_extractor = self.make_features_extractor()
         self.network = torch.nn.Sequential(*create_mlp(self.features_extractor.features_dim, 1, self.net_arch, activation_fn))
@@ -85,7 +88,7 @@ class APG(OnPolicyAlgorithm):
     Args:
         policy: "MlpPolicy", a `DampingPolicy`.
         env: the environment.
-        learning_rate: of Adam, or its schedule.
+        learning_rate: of the policy's optimiser, or its schedule.
         n_steps: control intervals of every car between two visits to the plant.
         horizon: intervals of a stretch through which is differentiated at the end of the training, at most ``n_steps``.
         first_share: share of the ``horizon`` with which the training begins; from there stretches grow by equal factors. Short
@@ -208,8 +211,8 @@ class APG(OnPolicyAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         roads: Any = self.rollout_buffer
         done = 1 - self._current_progress_remaining
-        share = self.first_share ** (1 - done)
-        starts, length = roads.windows(max(1, round(share * self.horizon)))
+        first = max(1.0, self.first_share * self.horizon)
+        starts, length = roads.windows(round(first * (self.horizon / first) ** done))
         known = done <= self.state_known
         costs, norms = [], []
         for _ in range(round(self.gradient_steps * self.horizon / length)):
