@@ -201,7 +201,7 @@ def test_the_policy_is_even_in_the_state():
 
 def test_seconds_of_training_save_most_of_what_feedback_can(tmp_path):
     environment = {"road": "multiplicative", "speed": (1.0, 2.0), "bandwidth": (0.1, 0.3)}
-    chosen = parameters(n_envs=64, n_steps=32, horizon=16, gradient_steps=8, features=["products"], n_timesteps=40 * 2048)
+    chosen = parameters(n_envs=64, n_steps=32, horizon=16, gradient_steps=8, features=["products"], n_timesteps=20 * 2048)
     agent = agents.train(tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=chosen)
     found = evaluate({"agent": agent}, environment=environment, speeds=[1.5], bandwidths=[0.1], episodes=16)["agent"]
     assert found.mean < 0.5  # the best constant damping costs .982, the optimal feedback .227

@@ -107,14 +107,15 @@ def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
     """Where speed and bandwidth are hidden: a bank finds them when the agent drives."""
     ranges = {"speed": (1.0, 2.0), "bandwidth": (0.1, 0.3)}
     environment = {"road": "multiplicative", **ranges, **SENSED, "observe_operating_point": False}
-    chosen = {"n_envs": 64, "n_steps": 32, "horizon": 16, "gradient_steps": 8, "n_timesteps": 40 * 2048}
+    chosen = {"n_envs": 64, "n_steps": 32, "horizon": 16, "gradient_steps": 8, "n_timesteps": 16 * 2048}
     agent = agents.train(
         tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=load_hyperparameters("apg") | SMALL | chosen
     )
     assert agent.description["filter_told"] == ["speed", "bandwidth"]
     assert "where the filter was told speed and bandwidth, with" in theory_given(agent)
     assert len(agent.filter.bank) == 25
-    found = evaluate({"agent": agent}, environment=environment, speeds=[1.5], bandwidths=[0.1], episodes=16)["agent"]
+    size = {"speeds": [1.5], "bandwidths": [0.1], "episodes": 16, "duration": 100.0}
+    found = evaluate({"agent": agent}, environment=environment, **size)["agent"]
     assert found.mean < 0.5  # the best constant damping costs .982, certainty equivalence .290
 
 

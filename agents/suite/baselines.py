@@ -45,6 +45,7 @@ class Learner:
 
 BLIND = {"features": ["signals", "products"]}  # no lookahead
 APG = Learner(title="APG", kind="recipe", algorithm="apg", file="apg", timesteps=1_536_000)
+FILTERED = dataclasses.replace(APG, title="APG, filtered", changes={"estimator": "kalman"}, timesteps=768_000)
 PPO = Learner(title="PPO", kind="plain", algorithm="ppo", file="ppo_plain", timesteps=1_015_808)
 RECURRENT = Learner(title="recurrent PPO", kind="plain", algorithm="recurrent_ppo", file="recurrent_ppo", timesteps=507_904)
 LEARNERS: Mapping[str, Learner] = {  # of every task, but for those of `OWN`
@@ -56,8 +57,8 @@ LEARNERS: Mapping[str, Learner] = {  # of every task, but for those of `OWN`
 }
 OWN: Mapping[str, Learner] = {  # what this project trains on tasks that need more than its usual recipe
     "Schedule-v0": dataclasses.replace(PPO, title="bandit PPO", file="ppo_scheduling", timesteps=2_506_752),
-    "OneAccelerometer-v0": dataclasses.replace(APG, title="APG, filtered", changes={"estimator": "kalman"}, timesteps=768_000),
-    "Explore-v0": RECURRENT,
+    "OneAccelerometer-v0": FILTERED,
+    "Explore-v0": FILTERED,
 }
 
 
