@@ -1,6 +1,6 @@
 """Cars as torch sees them over a control interval, and what ideal sensors tell of them: one for all, or each its own.
 
-A matrix has the shape (inputs, outputs) where all cars share it, and a first axis of the cars where these differ (`vary`).
+A matrix has the shape (inputs, outputs) where all cars share it, and a first axis of the cars where these differ (``vary``).
 States and signals of cars that differ are in terms of the nominal one, as the environments tell them.
 """
 
