@@ -50,6 +50,7 @@ HYPOTHESES = 5  # values of each number in a bank
 LARGEST_BANK = 2500  # filters of a car
 
 Rows = npt.NDArray[np.float32]
+Starts = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass
@@ -226,9 +227,7 @@ class KalmanFilter:
         size = len(system.states)
         shape = (len(points), len(damping), size)
         drift = np.ascontiguousarray(np.broadcast_to(system.drift, (*shape, size))).reshape(-1, size, size)
-        noise = np.ascontiguousarray(np.broadcast_to(system.noise, (*shape, system.noise.shape[-1]))).reshape(
-            *drift.shape[:2], -1
-        )
+        noise = np.ascontiguousarray(np.broadcast_to(system.noise, (*shape, system.noise.shape[-1])))
         steps = np.empty((len(drift), 2, size, size))
         interval_steps(drift, noise.reshape(*drift.shape[:2], -1), time, steps)
         return steps.reshape(*shape[:2], 2, size, size)
@@ -338,10 +337,7 @@ class KalmanFilter:
     def begin(self, observations: npt.ArrayLike, known: FloatArray | None = None) -> Belief:
         """What is known at the start of an episode, from its first observations, shape (n, signals), made at D_min.
 
-        Args:
-            observations: as they are.
-            known: frequency ratio, bandwidth and what varies, of each car, shape (n, 2 + fields), by which it has one filter;
-                None where they are not, which makes a bank.
+        Where frequency ratio, bandwidth and what varies are ``known``, shape (n, 2 + fields), each car has one filter, of them.
         """
         seen = np.asarray(observations, np.float32)
         points = self._points(seen) if known is None else known[:, None]
@@ -394,13 +390,7 @@ class KalmanFilter:
             weigh(belief.surprise, belief.weight)
         return belief
 
-    def restarted(
-        self,
-        belief: Belief,
-        starts: npt.NDArray[np.bool_],
-        observations: npt.ArrayLike,
-        known: FloatArray | None = None,
-    ) -> Belief:
+    def restarted(self, belief: Belief, starts: Starts, observations: npt.ArrayLike, known: FloatArray | None = None) -> Belief:
         """The belief, in which the cars that ``starts`` names, shape (n,), begin an episode as `begin` has it."""
         seen = np.asarray(observations, np.float32)
         if starts.all():
@@ -408,12 +398,10 @@ class KalmanFilter:
         fresh = self.begin(seen[starts], None if known is None else known[starts])
         own = np.repeat(starts, belief.weight.shape[1])
         result = dataclasses.replace(belief)
-        for name in ("point", "weight", "time"):
+        of_cars, of_filters = ("point", "weight", "time"), ("mean", "covariance", "valve", "numbers")
+        for name, where in (dict.fromkeys(of_cars, starts) | dict.fromkeys(of_filters, own)).items():
             setattr(result, name, getattr(belief, name).copy())
-            getattr(result, name)[starts] = getattr(fresh, name)
-        for name in ("mean", "covariance", "valve", "numbers"):
-            setattr(result, name, getattr(belief, name).copy())
-            getattr(result, name)[own] = getattr(fresh, name)
+            getattr(result, name)[where] = getattr(fresh, name)
         result.surprise = belief.surprise.copy()
         result.surprise[:, own] = fresh.surprise
         if fresh.model is not belief.model:
@@ -458,6 +446,5 @@ class KalmanFilter:
                 share = factor * belief.point[:, :, k] / (1 + factor * belief.point[:, :, k])
                 means[:, names.index(name)] = np.cumsum(belief.weight * share, axis=1)[:, -1]
                 squares[:, names.index(name)] = np.cumsum(belief.weight * share**2, axis=1)[:, -1]
-        deviations = np.sqrt(np.maximum(squares - means**2, 0.0))
-        space = self.full.observation_space
+        space, deviations = self.full.observation_space, np.sqrt(np.maximum(squares - means**2, 0.0))
         return np.clip(means.astype(np.float32), space.low, space.high), deviations.astype(np.float32)
