@@ -267,7 +267,7 @@ def test_stretches_grow_and_become_fewer(monkeypatch):
     monkeypatch.setattr(DrivenRoads, "cost", lambda roads, *given: lengths.append(given[2]) or cost(roads, *given))
     model = make_model("apg", parameters(first_share=0.25, gradient_steps=2), PLANTS["bounded"], 3, None)
     model.learn(4 * 512)
-    assert lengths == [4] * 4 + [5] * 3 + [6] * 3 + [8] * 2  # 16 intervals a visit, or nearly
+    assert lengths == [3] * 5 + [4] * 4 + [6] * 3 + [8] * 2  # 16 intervals a visit, or nearly
 
 
 @pytest.mark.parametrize(
