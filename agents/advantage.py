@@ -5,10 +5,9 @@ from __future__ import annotations
 from analysis.quadratic import advantage_forms, has_quadratic_value
 from roadgym.task import OPERATING_POINT, Task
 
-__all__ = ["advantage_forms", "has_advantage", "is_differentiable", "operating_point", "state_of"]
+__all__ = ["advantage_forms", "has_advantage", "hidden", "is_differentiable", "operating_point", "state_of"]
 
 ROAD_STATES = {"level", "slope"}  # those of a road that the environments tell
-DIFFERENTIABLE = {"valve.delay", "valve.rise_time", "valve.fall_time"}  # fields by which cars may differ
 
 
 def state_of(task: Task) -> tuple[str, ...]:
@@ -25,18 +24,21 @@ def operating_point(task: Task) -> tuple[str, ...]:
 def is_differentiable(task: Task, estimator: str | None = None) -> bool:
     """Can a policy be differentiated through the plant?
 
-    That is where cars differ by delays and lags of their valves at most, whose rate is not limited, and what is seen is what
-    there is; or, of cars that are alike behind an ideal valve, an ``estimator`` makes one filter a car of sensors that tell at
-    once and have no biases, where the operating point is known.
+    That is where the rate of valves is not limited, and what is seen is what there is; or where an ``estimator`` filters
+    sensors that tell at once and have no biases, of cars behind ideal valves.
     """
     if estimator is None:
-        differ = set() if task.vary is None else {*task.vary.names}
-        return task.valve.rate is None and differ <= DIFFERENTIABLE and not task.real_sensors
-    if task.vary is not None or not task.ideal_valve:
-        return False
-    known = {"speed": task.speed[0] == task.speed[1], "bandwidth": task.bandwidth[0] == task.bandwidth[1]}
+        differ = () if task.vary is None else task.vary.names
+        return task.valve.rate is None and "valve.rate" not in differ and not task.real_sensors
     at_once = all(sensor.delay == sensor.interval == sensor.bias == 0 for sensor in task.real_sensors.values())
-    return at_once and all(known[name] or name in task.signals for name in OPERATING_POINT)
+    return at_once and task.ideal_valve
+
+
+def hidden(task: Task) -> tuple[str, ...]:
+    """Names of what is drawn for each episode and not observed: of speed and bandwidth, and of the fields of car and valve."""
+    ends = {name: getattr(task, name) for name in OPERATING_POINT}
+    unseen = [name for name, (low, high) in ends.items() if low < high and name not in task.signals]
+    return (*unseen, *(() if task.vary is None else task.vary.names))
 
 
 def has_advantage(task: Task) -> bool:

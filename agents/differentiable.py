@@ -8,19 +8,21 @@ the path of the road between the ends of intervals, is what it was in the record
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import numpy.typing as npt
 
-from analysis.interval import Interval
 from analysis.quadratic import active_force, has_quadratic_value, plant_system, value_form
 from roadgym.installation import needs
 from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError
 from roadgym.roads import FirstOrderRoad, GaussianRoad
-from roadgym.task import OPERATING_POINT, SATURATION, Task
+from roadgym.task import OPERATING_POINT, Task
 
 from .advantage import ROAD_STATES, is_differentiable
-from .differentiable_filter import DrivenFilter, Filtering, Following, powers, single
+from .differentiable_car import Cars
+from .differentiable_filter import DrivenFilter, Filtering, Following, single
 from .differentiable_valve import DrivenValve
 from .features import Features, Sight
 
@@ -44,33 +46,29 @@ class DrivenRoads:
         estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
 
     Raises:
-        ParameterError: a stack of observations, a valve of limited rate, cars that differ by more than their valves, or sensors
-            without one plain filter of them; or such a filter behind a valve, or of cars that differ.
+        ParameterError: a stack of observations, a valve of limited rate, sensors that are not ideal without an estimator, or,
+            with one, any valve that is not ideal, and sensors with biases, delays or intervals.
     """
 
     def __init__(self, task: Task, sight: Sight, num_envs: int, steps: int, estimator: Filtering | None = None) -> None:
         if not is_differentiable(task, None if estimator is None else "kalman"):
-            needed = "sensors must be ideal, the rate of the valve unlimited, and cars alike but for its times,"
+            needed = "sensors must be ideal and the rate of the valve unlimited"
             if estimator is not None:
-                needed = "sensors and valve must be ideal but for noise, speed and bandwidth known, and cars alike,"
+                needed = "sensors must be ideal but for noise and resolution, and the valve ideal,"
             raise ParameterError(f"{needed} for a gradient through the plant: choose another algorithm")
         if sight.frame_stack > 1:
             raise ParameterError(f"frame_stack must be 1 for a gradient through the plant, got {sight.frame_stack}")
-        interval = Interval.of(task)
-        self._task, self._steps, self._duration, self._smooth = task, steps, interval.duration, interval.smooth
-        self._terms, self._inputs, self._cars = interval.motion.shape
-        motion, self._squares = (
-            single(np.moveaxis(part, 1, 0).reshape(self._inputs, -1)) for part in (interval.motion, interval.cost)
-        )
-        self._motion, self._forcing = torch.split(motion, [self._cars, self._inputs - self._cars])
         full = task if estimator is None else estimator.filter.full
-        self._sensing, self._measuring = Sensing(full), Sensing(task)
+        self._task, self._shown, self._steps, self._states = task, full, steps, len(task.car.motion.states)
+        self._duration = task.control_interval * task.car.natural_frequency
+        self._drawn: npt.NDArray[np.float64] | None = None
+        self._cars: list[Cars] = []  # before each step
         self._filter = None if estimator is None else DrivenFilter(estimator, num_envs, steps)
         self._valve = None if task.ideal_valve else DrivenValve(task, num_envs, steps)
         self._names = full.signals
         self._features = sight.features
         self._combined = None if sight.features is None else Seen(sight.features, len(self._names))
-        self._states = np.empty((steps + 1, num_envs, self._cars + 5))
+        self._noted = np.empty((steps + 1, num_envs, self._states + 5))
         self._seen = np.empty((steps, num_envs, *sight.space.shape), np.float32)
         self._places = np.empty((steps, num_envs), np.float32)
         self._ended = np.zeros((steps, num_envs), np.bool_)
@@ -87,7 +85,10 @@ class DrivenRoads:
             rate: of the angle of the road now, over w1, shape (num_envs,).
             drawn: what varies from car to car, as in `roadgym.plant.Plant.drawn_now`.
         """
-        self._states[step] = np.column_stack([state, rate])
+        self._noted[step] = np.column_stack([state, rate])
+        if drawn is not self._drawn:
+            self._drawn, self._now = drawn, Cars.of(self._task, self._shown, drawn)
+        self._cars[step:] = [self._now]
         if self._filter is not None:
             self._filter.note(step)
         if self._valve is not None:
@@ -103,21 +104,25 @@ class DrivenRoads:
 
     def finish(self) -> None:
         """Work out what the road did, after the last note."""
-        states = single(self._states)
-        self._car, self._road = states[..., : self._cars], states[..., self._cars : self._cars + 2]
-        self._path = torch.stack([self._road[..., 0], self._road[..., 1] * states[..., -1]], -1)  # the level and its rate
-        ends = self._path if self._smooth else self._path[..., :1]
+        noted = single(self._noted)
+        self._car, self._road = noted[..., : self._states], noted[..., self._states : self._states + 2]
+        self._path = torch.stack([self._road[..., 0], self._road[..., 1] * noted[..., -1]], -1)  # the level and its rate
+        ends = self._path if self._cars[0].smooth else self._path[..., :1]
         self._ends = torch.cat([ends[:-1], ends[1:]], -1)
-        place = torch.from_numpy(self._places).flatten()
-        forced = self._ends @ self._forcing
-        moved = self._moved(self._car[:-1].flatten(0, 1), forced.flatten(0, 1), place)
-        self._left = self._car[1:] - moved.view_as(self._car[1:])
-        forced[..., : self._cars] += self._left
-        self._forced, self._given = forced, self._sensing.of_road(self._path, self._road)
+        begun = [step for step in range(1, self._steps) if self._cars[step] is not self._cars[step - 1]]
+        found = [self._worked_out(slice(*span)) for span in itertools.pairwise([0, *begun, self._steps])]
+        self._forced, self._given, self._told, measured = map(torch.cat, zip(*found, strict=True))
         if self._filter is not None:
-            self._told = self._measuring.of_road(self._path, self._road)
-            found = self._measuring(self._car[1:].flatten(0, 1), place, self._told[1:].flatten(0, 1))
-            self._filter.finish(found[:, self._filter.columns].view(*self._places.shape, -1))
+            self._filter.finish(measured[..., self._filter.columns])
+
+    def _worked_out(self, steps: slice) -> tuple[Tensor, ...]:
+        """What the road did in steps with the same cars: to states, to signals after them, and what was measured."""
+        cars, after = self._cars[steps.start], slice(steps.start + 1, steps.stop + 1)
+        place = torch.from_numpy(self._places[steps])
+        forced = cars.forced(self._ends[steps])
+        forced[..., : self._states] += self._car[after] - cars.moved(self._car[steps], forced, place)
+        given, told = (each.from_road(self._path[after], self._road[after]) for each in (cars.sensing, cars.measuring))
+        return forced, given, told, cars.measuring(self._car[after], place, told)
 
     def windows(self, longest: int) -> tuple[npt.NDArray[np.intp], int]:
         """(first steps, length) of stretches within an episode of some car, for `cost`; as long as ``longest`` if possible."""
@@ -142,47 +147,41 @@ class DrivenRoads:
             state_known: where there is an estimator, does the policy see the state itself, from the second interval on?
         """
         ended = self._ended[start : start + length].any(axis=0)
-        rows = torch.from_numpy(np.flatnonzero(~ended)) if ended.any() else slice(None)  # to pick all takes time
-        self._look(self._states[start, :, self._cars + 2 : self._cars + 4])
+        self._look(self._noted[start, :, self._states + 2 : self._states + 4])
+        cars = self._cars[start]
+        rows: Tensor | slice = slice(None)
+        if ended.any():  # to pick all takes time
+            rows = torch.from_numpy(np.flatnonzero(~ended))
+            cars = cars.picked(rows)
         car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
         follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
         valve = None if self._valve is None else self._valve.begin(start, rows)
         place = held = torch.zeros(len(car))
-        noises, cars, places = noise * torch.randn(length, len(car)), [], []
+        noises, states, places = noise * torch.randn(length, len(car)), [], []
         for n, step in enumerate(range(start, start + length)):
-            answer = policy(seen if step == start else self._sees(car, held, step, rows, follow))[:, 0]
+            answer = policy(seen if step == start else self._sees(cars, car, held, step, rows, follow))[:, 0]
             place = held = torch.tanh(answer + noises[n])
             if self._valve is not None and valve is not None:
                 place, valve = self._valve(valve, place)
                 held = valve[:, 0]
-            cars.append(car)
+            states.append(car)
             places.append(place)
-            car = self._moved(car, self._forced[step, rows], place)
+            car = cars.moved(car, self._forced[step, rows], place)
         # of all intervals at once
-        costs = self._cost(torch.cat(cars), self._ends[start : start + length, rows].flatten(0, 1), torch.cat(places))
-        total = costs.view(length, -1).sum(0)
+        total = cars.cost(torch.stack(states), self._ends[start : start + length, rows], torch.stack(places)).sum(0)
         value = self._value[rows]
         state = torch.cat([car, self._road[start + length, rows]], 1)[:, : value.shape[1]]
         after = (state * (value @ state[:, :, None])[:, :, 0]).sum(1)
         return ((total * self._duration + after) / self._reference[rows]).mean() / (length * self._duration)
 
-    def _moved(self, car: Tensor, forced: Tensor, place: Tensor) -> Tensor:
-        """States of the car at the end of an interval, by a polynomial in the place of D; ``forced`` is what the road adds."""
-        coefficients = torch.addmm(forced, car, self._motion).view(-1, self._terms, self._cars)
-        return (powers(place, self._terms)[:, None] @ coefficients)[:, 0]
-
-    def _cost(self, car: Tensor, ends: Tensor, place: Tensor) -> Tensor:
-        """Mean cost of an interval."""
-        given = torch.cat([car, ends], 1)
-        squares = (given @ self._squares).view(-1, self._terms, self._inputs) @ given[:, :, None]
-        return (powers(place, self._terms) * squares[:, :, 0]).sum(1)
-
-    def _sees(self, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None) -> Tensor:
+    def _sees(
+        self, cars: Cars, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None
+    ) -> Tensor:
         """What the policy sees before a step, after an interval with a damping in ``place`` at its end."""
         if self._filter is None or follow is None:
-            told = self._sensing(car, place, self._given[step, rows])
+            told = cars.sensing(car, place, self._given[step - 1, rows])
         else:
-            told = follow(step, place, self._measuring(car, place, self._told[step, rows])[:, self._filter.columns])
+            told = follow(step, place, cars.measuring(car, place, self._told[step - 1, rows])[:, self._filter.columns])
         observed = told + self._shares[rows]
         return observed if self._combined is None else self._combined(observed, self._forms[rows])
 
@@ -202,36 +201,6 @@ class DrivenRoads:
         self._shares, self._forms = single(observed), single(forms)
         if self._combined is not None:
             self._forms = self._combined.of_pairs(self._forms)
-
-
-class Sensing:
-    """Ideal sensors in torch, the operating point 0.
-
-    Args:
-        task: what they tell.
-    """
-
-    def __init__(self, task: Task) -> None:
-        relative, rows = observed_rows(task)
-        states = len(relative) - 2
-        of_force = states + 2
-        both = np.column_stack([np.delete(rows, of_force, axis=0), [*relative, 0]])
-        self._of_car, self._of_road = single(both[:states]), single(both[states:])
-        self._of_force = single(rows[of_force])
-        self._felt, (self._low, self._high) = bool(rows[of_force].any()), task.damping_range
-
-    def of_road(self, path: Tensor, road: Tensor) -> Tensor:
-        """What of it the road makes: from the level and its rate, and the road's states, each of shape (..., 2)."""
-        return torch.cat([path, road[..., 1:]], -1) @ self._of_road
-
-    def __call__(self, car: Tensor, place: Tensor, given: Tensor) -> Tensor:
-        """What they tell after an interval at a damping in ``place``, shape (n, signals); ``given`` is the road's part."""
-        both = torch.addmm(given, car, self._of_car)
-        told, relative = both[:, :-1], both[:, -1]
-        if self._felt:  # the force of the damper, in some signal
-            force = (self._low + self._high + (self._high - self._low) * place) * relative
-            told = torch.addcmul(told, force[:, None], self._of_force)
-        return told.clamp(-SATURATION, SATURATION)
 
 
 class Seen:
@@ -273,23 +242,6 @@ class Seen:
         if self._features.lookahead is not None:
             grown.append(torch.baddbmm(forms[:, :, -1:], forms[:, :, :-1], pairs[:, :, None])[:, :, 0])
         return torch.cat([shown, torch.cat(grown, 1) * torch.rsqrt(1 + pairs @ self._same)], 1)
-
-
-def observed_rows(task: Task) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """(relative velocity, observed signals) as factors of the states of the car, Z and dZ/dt; and of the damper's force and U.
-
-    Shapes (states + 2,) and (states + 4, signals); speed and bandwidth are zero.
-    """
-    motion = task.car.motion
-    known = dict(zip(motion.signals, motion.rows, strict=True))
-    places = {name: n for n, name in enumerate(motion.states)} | {"level": len(motion.states), "slope": len(motion.states) + 3}
-    rows = np.zeros((len(task.signals), len(motion.states) + 4))
-    for row, name in zip(rows, task.signals, strict=True):
-        if name in known:
-            row[:-1] = known[name]
-        elif name in places:
-            row[places[name]] = 1.0
-    return known[motion.relative][:-1], rows.T
 
 
 def values(task: Task, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

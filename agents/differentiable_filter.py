@@ -130,8 +130,8 @@ class Following:
 
 
 def powers(place: Tensor, count: int) -> Tensor:
-    """Powers from 0 on of places, shape (n, count)."""
-    return place[:, None] ** torch.arange(count)
+    """Powers from 0 on of places, shape (..., count)."""
+    return place[..., None] ** torch.arange(count)
 
 
 def single(array: npt.NDArray[np.floating]) -> Tensor:

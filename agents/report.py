@@ -155,6 +155,8 @@ def theory_given(agent: Predictor) -> str | None:
     if hyperparameters.get("wrappers"):
         reward += f", as changed by {' and '.join(hyperparameters['wrappers'])}"
     sees = "" if agent.filter is None else f"drives by a Kalman filter of {', '.join(agent.filter.measured)}; "
+    if told := agent.description.get("filter_told"):
+        reward += f", where the filter was told {' and '.join(told)}"
     return f"{sees}learned from {reward}, {'with' if lookahead else 'without'} theory's one-step lookahead among its features."
 
 

@@ -19,7 +19,7 @@ from roadgym.installation import needs, require
 from roadgym.parameters import ParameterError, non_negative, whole
 from roadgym.task import Task, make_task
 
-from .advantage import is_differentiable
+from .advantage import hidden, is_differentiable
 from .agent import (
     ALGORITHMS,
     CONTENT,
@@ -122,8 +122,8 @@ def usual_algorithm(task: Task, chosen: bool, wrappers: Sequence[Any] = (), esti
     """The algorithm where none is named: "apg", or "ppo" where that cannot be.
 
     That is where hyperparameters are ``chosen``, which are those of "ppo"; with wrappers, which may pay for something else than
-    the cost; behind a valve of limited rate, or any with an ``estimator``; with cars that differ by more than the times of
-    their valves; and behind sensors without an ``estimator``, or of which it makes more than one plain filter.
+    the cost; behind a valve of limited rate, or any with an ``estimator``; and behind sensors without an ``estimator``, or with
+    biases, delays or intervals.
     """
     return "ppo" if chosen or wrappers or not is_differentiable(task, estimator) else "apg"
 
@@ -312,6 +312,7 @@ def train(
                 "learns_from",
                 training_reward(hyperparameters.get("training_reward", "cost"), task),
             ),
+            "filter_told": _filter_told(algorithm, task, hyperparameters),
             "imports": _homes(task, imports),
             "seed": seed,
             "versions": versions(),
@@ -361,6 +362,12 @@ def _folder(path: Path) -> Iterator[None]:
         if not there:
             with contextlib.suppress(OSError):  # it holds an agent
                 path.rmdir()
+
+
+def _filter_told(algorithm: str, task: Task, hyperparameters: Mapping[str, Any]) -> list[str]:
+    """What an estimator is told in training where the gradient knows it, and has to find when the agent drives."""
+    knows = getattr(algorithm_class(algorithm), "learns_from", "") == "gradient"
+    return list(hidden(task)) if knows and hyperparameters.get("estimator") is not None else []
 
 
 def _homes(task: Task, imports: Sequence[str]) -> list[str]:

@@ -204,6 +204,8 @@ class QuarterCarVecEnv(VecEnv):
     def driven_roads(self, steps: int) -> DrivenRoads:
         """What records ``steps`` control intervals for a gradient through the plant, of `road_and_car` before each.
 
+        From the next reset on an estimator knows where in what car it is, as the gradient does, where else it is a bank.
+
         Raises:
             ParameterError: what `agents.differentiable.DrivenRoads` refuses, or wrappers, which could pay for something else.
         """
@@ -211,7 +213,10 @@ class QuarterCarVecEnv(VecEnv):
 
         if self._wrappers:
             raise ParameterError(f"wrappers must be none for a gradient through the plant, got {', '.join(self._wrappers)}")
-        return DrivenRoads(self.envs.task, Sight(self.task, *self._seen), self.num_envs, steps, self._estimator)
+        found = DrivenRoads(self.envs.task, Sight(self.task, *self._seen), self.num_envs, steps, self._estimator)
+        if self._estimator is not None:
+            self._estimator.car_known = True
+        return found
 
     def road_and_car(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """The states of `roadgym.vector.QuarterCarVectorEnv.state`, the rate of the road's angle over w1, what was drawn."""

@@ -9,9 +9,12 @@ bridge). What the true road does beside that is left to whoever knows where the 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
+from roadgym.cars.varied import exponentials
+from roadgym.linear import Motion
 from roadgym.task import Task
 
 from .checks import FloatArray
@@ -22,29 +25,25 @@ QUADRATURE = 6  # points of Gauss's rule for the mean cost
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Interval:
-    """A control interval in units of the road's standard deviation and of time 1/w1; made by `of`.
+    """A control interval in cars, in units of the road's standard deviation and of time 1/w1; made by `of`.
 
     With the place a of D in its range, from -1 to 1, and u = (states of the car, ends of the road) the state at the end is
     sum_k a^k u motion_k, and the mean cost sum_k a^k u' cost_k u.
 
     Attributes:
         smooth: whether the ends of the road are (Z, dZ/dt) at the start and at the end, or Z alone at both.
-        duration: T.
-        motion: shape (DEGREE + 1, inputs, states).
-        cost: shape (DEGREE + 1, inputs, inputs).
+        motion: shape (cars, DEGREE + 1, inputs, states).
+        cost: shape (cars, DEGREE + 1, inputs, inputs).
     """
 
     smooth: bool
-    duration: float
     motion: FloatArray
     cost: FloatArray
 
     @classmethod
-    def of(cls, task: Task) -> Interval:
-        """The control interval of ``task``."""
-        from scipy.linalg import expm
-
-        car = task.car.motion
+    def of(cls, task: Task, motions: Sequence[Motion]) -> Interval:
+        """The control interval of ``task`` in cars of these ``motions``, which are alike but for their numbers."""
+        car = motions[0]
         duration = task.control_interval * task.car.natural_frequency
         smooth = task.road.has_slope and (task.speed_noise is None or task.speed_noise.smooth)
         path = _path(duration, smooth)
@@ -52,29 +51,32 @@ class Interval:
         size = cars + order
         begin = np.zeros((size, size))  # (car, ends) -> (car, level and its derivatives) at the start
         begin[:cars, :cars], begin[cars:, cars:] = np.eye(cars), path
-        rows = np.zeros((len(car.signals), size + 1))  # with the damper's force last
-        rows[:, : cars + 2], rows[:, -1] = car.rows[:, : cars + 2], car.rows[:, -1]
-        factors = dict(zip(car.signals, rows, strict=True))
-        relative = factors[car.relative][:-1]
-        free = np.zeros((size, size))
-        free[:cars, :cars], free[:cars, cars], free[:cars, cars + 1] = car.drift, car.level_entry, car.slope_entry
-        free[cars:, cars:] = np.diag(np.ones(order - 1), 1)
-        entry = np.append(car.force_entry, np.zeros(order))
+        rows = np.zeros((len(motions), len(car.signals), size + 1))  # with the damper's force last
+        both = np.array([motion.rows for motion in motions])
+        rows[..., : cars + 2], rows[..., -1] = both[..., : cars + 2], both[..., -1]
+        relative = rows[:, list(car.signals).index(car.relative), None, :-1]
+        free = np.zeros((len(motions), size, size))
+        for own, motion in zip(free, motions, strict=True):
+            own[:cars, : cars + 2] = np.column_stack([motion.drift, motion.level_entry, motion.slope_entry])
+        free[:, cars:, cars:] = np.diag(np.ones(order - 1), 1)
+        entry = np.pad([motion.force_entry for motion in motions], [(0, 0), (0, order)])
         places, shares = np.polynomial.legendre.leggauss(QUADRATURE)
         nodes = -np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
-        motion, cost = [], []
         low, high = task.damping_range
-        for damping in (low + (high - low) * (nodes + 1) / 2).tolist():
-            drift = free - 2 * damping * np.outer(entry, relative)
-            weighed = np.zeros((size, size))
-            for name, weight in task.weights_by_name.items():
-                row = factors[name][:-1] + 2 * damping * factors[name][-1] * relative
-                weighed += weight * np.outer(row, row)
-            passed = [expm(drift * duration * (1 + place) / 2) @ begin for place in places.tolist()]
-            motion.append((expm(drift * duration) @ begin)[:cars].T)
-            cost.append(sum(share / 2 * here.T @ weighed @ here for here, share in zip(passed, shares.tolist(), strict=True)))
+        twice = (2 * low + (high - low) * (nodes + 1))[:, None, None]
+        drift = free[:, None] - twice * (entry[:, :, None] * relative)[:, None]
+        weighed = np.zeros(drift.shape)
+        for name, weight in task.weights_by_name.items():
+            own = rows[:, list(car.signals).index(name), None, None]
+            row = own[..., :-1] + twice * own[..., -1:] * relative[:, None]
+            weighed += weight * np.swapaxes(row, -1, -2) * row
+        times = duration * np.append((1 + places) / 2, 1)
+        passed = exponentials(drift[:, :, None] * times[:, None, None]) @ begin
+        within = passed[:, :, :-1]
+        costs = np.swapaxes(within, -1, -2) @ weighed[:, :, None] @ within
         powers = np.linalg.inv(np.vander(nodes, increasing=True))
-        return cls(smooth, duration, *(np.tensordot(powers, np.array(found), 1) for found in (motion, cost)))
+        found = np.swapaxes(passed[:, :, -1, :cars], -1, -2), np.einsum("q,cnqij->cnij", shares / 2, costs)
+        return cls(smooth, *(np.einsum("kn,cnij->ckij", powers, part) for part in found))
 
 
 def _path(duration: float, smooth: bool) -> FloatArray:

@@ -6,7 +6,7 @@ takes some minutes, half a minute for each operating point to find its optimal f
 constant damping to the rule with the state known; all drive over the same roads. With ``--agents`` some learn from the same
 sensors, and are kept in a folder, from which the script goes on:
 
-    filtered    on the filter's mean, by the default algorithm: apg, or ppo where the operating point is hidden;
+    filtered    on the filter's mean, by apg;
     stacked     ppo on the last eight of what is measured;
     recurrent   ppo with a recurrent network on what is measured.
 """

@@ -6,10 +6,12 @@ trains agents on a quarter car of two masses on a road of ISO 8608 that meet
 
     nominal     the car as it is told, with an ideal valve;
     lags        that car behind a valve whose lag is drawn for each episode;
-    all         cars with a mass, a spring, a tyre and a lag of their own, drawn for each episode,
+    all         cars with a mass, a spring, a tyre and a lag of their own, drawn for each episode;
+    apg         the same cars,
 
 and drives them on cars that none of them has met: each episode another one of that law, the same for every agent; and on the
-nominal car, behind valves of several lags. Nobody is told what was drawn. Agents are trained once: with the same folder the
+nominal car, behind valves of several lags. Nobody is told what was drawn. Those of *apg* learn by analytic policy gradient,
+which knows the equations of each car, all others by PPO from the cost alone. Agents are trained once: with the same folder the
 script goes on from what it finds there.
 """
 
@@ -36,14 +38,20 @@ CARS = {  # field: nominal value, and by what share of it at most it differs
 }
 LAGS = {"valve.rise_time": (0.0, LAG), "valve.fall_time": (0.0, LAG)}
 LAW = {name: (value * (1 - share), value * (1 + share)) for name, (value, share) in CARS.items()} | LAGS
-TRAINED_ON: dict[str, dict[str, Any]] = {"nominal": {}, "lags": {"vary": LAGS}, "all": {"vary": LAW}}
-HYPERPARAMETERS = load_hyperparameters("ppo", "ppo_plain") | {
+LEARNERS: dict[str, tuple[str, dict[str, Any]]] = {  # algorithm, and what it is trained on
+    "nominal": ("ppo", {}),
+    "lags": ("ppo", {"vary": LAGS}),
+    "all": ("ppo", {"vary": LAW}),
+    "apg": ("apg", {"vary": LAW}),
+}
+PLAIN = load_hyperparameters("ppo", "ppo_plain") | {
     "n_envs": 64,
     "n_steps": 64,
     "batch_size": 512,
     "n_timesteps": 1_000_000,
     "gae_lambda": 0.95,  # behind a slow valve what an action does comes later
 }
+HYPERPARAMETERS = {"ppo": PLAIN, "apg": load_hyperparameters("apg")}
 
 
 def main() -> None:
@@ -53,7 +61,8 @@ def main() -> None:
     parser.add_argument("--road", default="iso_c", help="class of the road (%(default)s)")
     parser.add_argument("--speed", type=float, default=20.0, help="m/s (%(default)s)")
     parser.add_argument("--seeds", type=int, default=2, help="agents of each kind (%(default)s)")
-    parser.add_argument("--timesteps", type=int, help="control intervals to train for (1000000)")
+    parser.add_argument("--timesteps", type=int, help="control intervals to train for (as of each algorithm)")
+    parser.add_argument("--learners", nargs="*", default=list(LEARNERS), choices=LEARNERS, help="(all)")
     parser.add_argument("--rules", nargs="*", default=["skyhook_continuous", "clipped_lqr"], help="(%(default)s)")
     parser.add_argument("--lags", type=float, nargs="*", default=[0.0, 10.0, 20.0, 30.0], metavar="MS", help="(%(default)s)")
     parser.add_argument("--episodes", type=int, default=256, help="each with a car of its own (%(default)s)")
@@ -62,14 +71,16 @@ def main() -> None:
 
     plant: dict[str, Any] = {"road": chosen.road, "speed": chosen.speed, "car": CAR, "control_interval": 0.01}
     learned: dict[str, list[agents.Agent]] = {}
-    for name, own in TRAINED_ON.items():
+    for name in chosen.learners:
+        algorithm, own = LEARNERS[name]
         for seed in range(chosen.seeds):
             folder = Path(chosen.output) / f"{name}-{seed}"
             if not (folder / "agent.json").exists():
                 agents.train(
                     folder,
+                    algorithm=algorithm,
                     environment=plant | own,
-                    hyperparameters=HYPERPARAMETERS,
+                    hyperparameters=HYPERPARAMETERS[algorithm],
                     seed=seed,
                     timesteps=chosen.timesteps,
                     report=agents.training.silent,

@@ -50,6 +50,7 @@ HYPOTHESES = 5  # values of each number in a bank
 LARGEST_BANK = 2500  # filters of a car
 
 Rows = npt.NDArray[np.float32]
+Starts = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass
@@ -86,6 +87,7 @@ class Belief:
         weight: posterior weight of each, shape (n, b).
         mean, covariance: of the states of car, road and sensors, shape (n b, states) and (n b, states, states).
         valve: D in force, which comes first, and all else that the valve of each filter keeps, shape (n b, rows).
+        numbers: of the valve of each filter, as `roadgym.kalman_kernel.follow_valve` takes them, shape (n b, 6).
         time: control intervals since the episode began, shape (n,).
         model: of the filters, and in ``place`` where they have it.
         surprise: innovations of the last measurements over their deviations, and these, shape (2, n b, measured).
@@ -96,6 +98,7 @@ class Belief:
     mean: FloatArray
     covariance: FloatArray
     valve: FloatArray
+    numbers: FloatArray
     time: npt.NDArray[np.int64]
     model: Model
     place: npt.NDArray[np.int64]
@@ -178,7 +181,9 @@ class KalmanFilter:
             for many, (a, b) in zip(hidden, self.ranges, strict=True)
         ]
         self.bank = np.array(list(itertools.product(*shares)))
-        self._valves = np.array([self._drawn(point)[1] for point in self.bank])
+        slowest = task.valve if task.vary is None else task.vary.slowest_valve
+        self._kept = 4 + int(slowest.numbers(task.control_interval, task.car.natural_frequency)["valve_late"])
+        self._numbers = np.array([self._drawn(point)[1] for point in self.bank])
         self._degree = self._needed_degree()
         self._shared = None if any(seen is not None for seen in self.seen) else self.model(self.bank)
 
@@ -222,9 +227,7 @@ class KalmanFilter:
         size = len(system.states)
         shape = (len(points), len(damping), size)
         drift = np.ascontiguousarray(np.broadcast_to(system.drift, (*shape, size))).reshape(-1, size, size)
-        noise = np.ascontiguousarray(np.broadcast_to(system.noise, (*shape, system.noise.shape[-1]))).reshape(
-            *drift.shape[:2], -1
-        )
+        noise = np.ascontiguousarray(np.broadcast_to(system.noise, (*shape, system.noise.shape[-1])))
         steps = np.empty((len(drift), 2, size, size))
         interval_steps(drift, noise.reshape(*drift.shape[:2], -1), time, steps)
         return steps.reshape(*shape[:2], 2, size, size)
@@ -331,12 +334,16 @@ class KalmanFilter:
                 points[:, :, k] = np.clip(share / (1 - share) / factor, *self.ranges[k])[:, None]
         return points
 
-    def begin(self, observations: npt.ArrayLike) -> Belief:
-        """What is known at the start of an episode, from its first observations, shape (n, signals), made at D_min."""
+    def begin(self, observations: npt.ArrayLike, known: FloatArray | None = None) -> Belief:
+        """What is known at the start of an episode, from its first observations, shape (n, signals), made at D_min.
+
+        Where frequency ratio, bandwidth and what varies are ``known``, shape (n, 2 + fields), each car has one filter, of them.
+        """
         seen = np.asarray(observations, np.float32)
-        points = self._points(seen)
+        points = self._points(seen) if known is None else known[:, None]
+        numbers = self._numbers if known is None else np.array([self._drawn(point)[1] for point in known])
         cars, bank = points.shape[:2]
-        if self._shared is None:
+        if self._shared is None or known is not None:
             distinct, place = np.unique(points.reshape(cars * bank, -1), axis=0, return_inverse=True)
             model, place = self.model(distinct), place.reshape(-1).astype(np.int64)
         else:
@@ -346,7 +353,8 @@ class KalmanFilter:
             weight=np.full((cars, bank), 1 / bank),
             mean=np.zeros((cars * bank, model.start.shape[-1])),
             covariance=model.start[place],
-            valve=np.full((cars * bank, 4 + int(self._valves[:, 0].max())), self.task.damping_range[0]),
+            valve=np.full((cars * bank, self._kept), self.task.damping_range[0]),
+            numbers=np.tile(numbers, (cars * bank // len(numbers), 1)),
             time=np.zeros(cars, np.int64),
             model=model,
             place=place,
@@ -366,7 +374,7 @@ class KalmanFilter:
         moved = dataclasses.replace(belief, **{name: getattr(belief, name).copy() for name in names}, time=belief.time + 1)
         means, part = np.empty((len(belief.mean), self.parts)), self.interval / self.parts
         commands = np.clip(np.asarray(damping, float), *self.task.damping_range)
-        follow_valve(self._valves, self.task.damping_range, part, commands, moved.valve, means)
+        follow_valve(belief.numbers, self.task.damping_range, part, commands, moved.valve, means)
         known = belief.model.series, belief.model.delayed, self._lags, belief.place
         advance_beliefs(*known, belief.valve[:, 0], means, self._middle, self._half, moved.mean, moved.covariance)
         return self._measured(moved, np.asarray(observations, np.float32))
@@ -382,22 +390,21 @@ class KalmanFilter:
             weigh(belief.surprise, belief.weight)
         return belief
 
-    def restarted(self, belief: Belief, starts: npt.NDArray[np.bool_], observations: npt.ArrayLike) -> Belief:
-        """The belief, in which the cars that ``starts`` names, shape (n,), begin an episode with these observations."""
+    def restarted(self, belief: Belief, starts: Starts, observations: npt.ArrayLike, known: FloatArray | None = None) -> Belief:
+        """The belief, in which the cars that ``starts`` names, shape (n,), begin an episode as `begin` has it."""
         seen = np.asarray(observations, np.float32)
         if starts.all():
-            return self.begin(seen)
-        fresh, own = self.begin(seen[starts]), np.repeat(starts, belief.weight.shape[1])
+            return self.begin(seen, known)
+        fresh = self.begin(seen[starts], None if known is None else known[starts])
+        own = np.repeat(starts, belief.weight.shape[1])
         result = dataclasses.replace(belief)
-        for name in ("point", "weight", "time"):
+        of_cars, of_filters = ("point", "weight", "time"), ("mean", "covariance", "valve", "numbers")
+        for name, where in (dict.fromkeys(of_cars, starts) | dict.fromkeys(of_filters, own)).items():
             setattr(result, name, getattr(belief, name).copy())
-            getattr(result, name)[starts] = getattr(fresh, name)
-        for name in ("mean", "covariance", "valve"):
-            setattr(result, name, getattr(belief, name).copy())
-            getattr(result, name)[own] = getattr(fresh, name)
+            getattr(result, name)[where] = getattr(fresh, name)
         result.surprise = belief.surprise.copy()
         result.surprise[:, own] = fresh.surprise
-        if self._shared is None:
+        if fresh.model is not belief.model:
             result.place = belief.place.copy()
             kept, place = np.unique(belief.place[~own], return_inverse=True)
             result.place[~own], result.place[own] = place.reshape(-1), fresh.place + len(kept)
@@ -439,6 +446,5 @@ class KalmanFilter:
                 share = factor * belief.point[:, :, k] / (1 + factor * belief.point[:, :, k])
                 means[:, names.index(name)] = np.cumsum(belief.weight * share, axis=1)[:, -1]
                 squares[:, names.index(name)] = np.cumsum(belief.weight * share**2, axis=1)[:, -1]
-        deviations = np.sqrt(np.maximum(squares - means**2, 0.0))
-        space = self.full.observation_space
+        space, deviations = self.full.observation_space, np.sqrt(np.maximum(squares - means**2, 0.0))
         return np.clip(means.astype(np.float32), space.low, space.high), deviations.astype(np.float32)

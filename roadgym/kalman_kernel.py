@@ -81,7 +81,7 @@ def follow_valve(numbers: Any, ends: Any, time: float, commands: Any, valve: Any
     """Move the valve of each filter through a control interval, as `roadgym.actuation` does.
 
     Args:
-        numbers: late, part, levels, rate, rise and fall of `roadgym.valve.Valve.numbers`, of each filter of a bank.
+        numbers: late, part, levels, rate, rise and fall of `roadgym.valve.Valve.numbers`, of each filter.
         ends: of the range of D.
         time: that each part of the interval lasts, in units of 1/w1.
         commands: of each car, within the range, shape (n,).
@@ -89,9 +89,9 @@ def follow_valve(numbers: Any, ends: Any, time: float, commands: Any, valve: Any
         means: set to the mean D of each part, shape (n b, parts).
     """
     low, high = ends
-    bank, parts = len(numbers), means.shape[1]
+    bank, parts = len(means) // len(commands), means.shape[1]
     for i in range(len(means)):
-        late, part, levels, rate, rise, fall = numbers[i % bank]
+        late, part, levels, rate, rise, fall = numbers[i]
         command, step = commands[i // bank], (high - low) / max(levels - 1, 1.0)
         for k in range(valve.shape[1] - 1, 2, -1):
             valve[i, k] = valve[i, k - 1]

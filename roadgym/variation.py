@@ -21,7 +21,7 @@ import numpy.typing as npt
 from .cars import Car
 from .cars.varied import SERIES, VariedCar, in_terms_of
 from .compiled import LANES, compiled
-from .linear import Motion
+from .linear import Motion, Signal
 from .noise import CAR, keys_from_seeds, philox, uniform
 from .parameters import RANGES, ParameterError, number, shown
 from .record import EPISODE, KEY
@@ -101,6 +101,34 @@ class Variation:
         car, _ = self.drawn(values)
         return in_terms_of(self.car, car, self.firmer(car))
 
+    def told_motion(self, values: Sequence[float]) -> Motion:
+        """`motion` of states in the units in which environments tell them: as signals, where they are any."""
+        motion = self.motion(values)
+        units = np.ones(len(motion.states))
+        for k, j in self._signals_of_states.items():
+            units[k] = motion.rows[j, k]
+        shares = dict(zip(motion.states, (1 / units).tolist(), strict=True))
+
+        def told(signal: Signal) -> Signal:
+            terms = {term: factor * shares.get(term, 1.0) for term, factor in signal.terms.items()}
+            return dataclasses.replace(signal, terms=terms)
+
+        return dataclasses.replace(
+            motion,
+            drift=motion.drift * (units[:, None] / units),
+            level_entry=units * motion.level_entry,
+            slope_entry=units * motion.slope_entry,
+            force_entry=units * motion.force_entry,
+            signals={name: told(signal) for name, signal in motion.signals.items()},
+        )
+
+    @property
+    def _signals_of_states(self) -> dict[int, int]:
+        """By the place of each state that is a signal the place of that."""
+        motion = self.car.motion
+        places = {name: j for j, (name, signal) in enumerate(motion.signals.items()) if dict(signal.terms) == {name: 1.0}}
+        return {k: places[name] for k, name in enumerate(motion.states) if name in places}
+
     @property
     def driven_car(self) -> VariedCar:
         """What compiled code knows of all of them."""
@@ -123,10 +151,8 @@ class Variation:
         Args:
             first: as of `places`.
         """
-        motion, begin = self.car.motion, self.places(first)["own_signals"]
-        signals = enumerate(motion.signals.items())
-        rows = {name: k * (len(motion.states) + 3) for k, (name, signal) in signals if dict(signal.terms) == {name: 1.0}}
-        return {name: begin + (rows[name] + k) * LANES for k, name in enumerate(motion.states) if name in rows}
+        states, begin = self.car.motion.states, self.places(first)["own_signals"]
+        return {states[k]: begin + (j * (len(states) + 3) + k) * LANES for k, j in self._signals_of_states.items()}
 
     def numbers(
         self, values: npt.NDArray[np.float64], substep: float, interval: float, damping: tuple[float, float]

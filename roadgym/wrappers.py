@@ -142,7 +142,13 @@ class KalmanObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
 
 
 class VectorKalmanObservation(EpisodeWrapper):
-    """`KalmanObservation` of a batch; ``measured`` is what the batch observed last, shape (num_envs, signals)."""
+    """`KalmanObservation` of a batch.
+
+    Attributes:
+        measured: what the batch observed last, shape (num_envs, signals).
+        car_known: has each car one filter, of its true operating point and fields that vary, where else it has a bank? False,
+            but while those learn who may know; to be set before a reset.
+    """
 
     def __init__(self, env: Batch, deviations: bool = False, hypotheses: int = HYPOTHESES) -> None:
         super().__init__(env)
@@ -152,15 +158,23 @@ class VectorKalmanObservation(EpisodeWrapper):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.belief: Belief | None = None
         self.measured = np.empty((0, len(self.filter.task.signals)), np.float32)
+        self.car_known = False
+
+    def _known(self) -> npt.NDArray[np.float64] | None:
+        """What the filters are told of their cars, as of `roadgym.kalman.KalmanFilter.begin`."""
+        if not self.car_known or len(self.filter.bank) == 1:
+            return None
+        batch: Any = self.env.unwrapped
+        return np.column_stack([batch.state()[:, -2:], batch.plant.drawn_now.T])
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin the next episode, everywhere or where the options say."""
         observations, info = self.env.reset(seed=seed, options=options)
         mask, self.measured = self._start(options), observations
         if mask is None or self.belief is None:
-            self.belief = self.filter.begin(observations)
+            self.belief = self.filter.begin(observations, self._known())
         else:
-            self.belief = self.filter.restarted(self.belief, mask, observations)
+            self.belief = self.filter.restarted(self.belief, mask, observations, self._known())
         return _seen(self.filter, self.belief, self._deviations), info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -177,6 +191,6 @@ class VectorKalmanObservation(EpisodeWrapper):
             info = {**info, "final_obs": np.full(self.num_envs, None, object)}
             for i, row in zip(np.flatnonzero(begun), _seen(self.filter, belief, self._deviations)[begun], strict=True):
                 info["final_obs"][i] = row
-        self.belief = self.filter.restarted(belief, begun, observations) if begun.any() else belief
+        self.belief = self.filter.restarted(belief, begun, observations, self._known()) if begun.any() else belief
         self.measured = observations
         return _seen(self.filter, self.belief, self._deviations), rewards, terminated, truncated, info

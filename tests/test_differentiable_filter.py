@@ -8,6 +8,7 @@ from gradients import check_gradient
 import agents
 from agents.differentiable_filter import DrivenFilter
 from agents.evaluation import evaluate
+from agents.report import theory_given
 from agents.training import load_hyperparameters, make_model
 from agents.vec_env import QuarterCarVecEnv
 from roadgym import ParameterError
@@ -19,6 +20,14 @@ PLANTS = {
     "bounded": {"road": "multiplicative", **RANGES, **TOLD},
     "one point": {"road": "gaussian", "speed": 1.5, "bandwidth": 0.1, **SENSED},
     "two masses": {"road": "iso_c", "car": "two_mass", "speed": 20.0, **SENSED},
+    "hidden": {"road": "gaussian", **RANGES, **SENSED, "observe_operating_point": False},
+    "cars that differ": {
+        "road": "gaussian",
+        "speed": (0.7, 3.0),
+        "bandwidth": 0.2,
+        **SENSED,
+        "vary": {"natural_frequency": [0.6, 1.4]},
+    },
     "third order": {"road": "two_corner", "speed": 1.0, "observation": ["velocity"], "sensors": {"noise": 0.01}},
 }
 SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "first_share": 1.0, "gradient_steps": 4, "features": ["products"]} | {
@@ -30,8 +39,8 @@ def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman")
     """What a batch drove, with dampings all over the range; ``last`` is the place of that of the last interval."""
     envs = QuarterCarVecEnv(number, environment=environment, features=["signals"], estimator=estimator)
     envs.seed(seed)
-    seen, rng = envs.reset(), np.random.default_rng(1)
     roads = envs.driven_roads(steps)
+    seen, rng = envs.reset(), np.random.default_rng(1)
     for step in range(steps):
         roads.note(step, *envs.road_and_car())
         action = rng.uniform(-1, 1, (number, 1)).astype(np.float32)
@@ -41,7 +50,7 @@ def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman")
         roads.answer(step, before, action, ended)
     roads.note(steps, *envs.road_and_car())
     roads.finish()
-    roads._look(roads._states[0, :, -3:-1])
+    roads._look(roads._noted[0, :, -3:-1])
     return roads, seen
 
 
@@ -49,7 +58,8 @@ def again(roads, start, last):
     """What the filters of ``roads`` tell before step ``last``, driven again from ``start`` on by the same dampings."""
     follow = roads._filter.begin(start, slice(None))
     for step in range(start + 1, last + 1):
-        told = roads._sees(roads._car[step], torch.from_numpy(roads._places[step - 1]), step, slice(None), follow)
+        place = torch.from_numpy(roads._places[step - 1])
+        told = roads._sees(roads._cars[0], roads._car[step], place, step, slice(None), follow)
     return told.numpy()
 
 
@@ -68,15 +78,15 @@ def test_what_another_damping_does_to_what_is_known_is_what_the_filter_does():
     told = []
     for place, after in zip((-0.2, 0.2), follow, strict=True):
         places = torch.full((32,), place)
-        car = roads._moved(roads._car[39], roads._forced[39], places)
-        told.append(roads._sees(car, places, 40, slice(None), after).numpy())
+        car = roads._cars[39].moved(roads._car[39], roads._forced[39], places)
+        told.append(roads._sees(roads._cars[39], car, places, 40, slice(None), after).numpy())
     changed = second - first
     assert np.abs(told[1] - told[0] - changed).max() < 0.03 * np.abs(changed).max()
 
 
 def test_first_the_state_is_known_and_then_what_the_filter_makes_of_sensors(monkeypatch):
     (roads, _), (plain, _) = driven(PLANTS["bounded"], 12), driven({"road": "multiplicative", **RANGES}, 12, estimator=None)
-    seen = roads._sees(roads._car[11], torch.from_numpy(roads._places[10]), 11, slice(None), None)
+    seen = roads._sees(roads._cars[11], roads._car[11], torch.from_numpy(roads._places[10]), 11, slice(None), None)
     np.testing.assert_allclose(seen, plain._seen[11], rtol=1e-4, atol=1e-4)  # that of a batch with no sensors
     begun = []
     monkeypatch.setattr(DrivenFilter, "begin", lambda driven, *_: begun.append(model.num_timesteps))
@@ -85,7 +95,7 @@ def test_first_the_state_is_known_and_then_what_the_filter_makes_of_sensors(monk
     assert begun == [3 * 512] * 4 + [4 * 512] * 4
 
 
-@pytest.mark.parametrize("plant", ["bounded", "two masses"])
+@pytest.mark.parametrize("plant", ["bounded", "two masses", "cars that differ"])
 def test_gradients_are_those_of_finite_differences(plant):
     chosen = load_hyperparameters("apg") | SMALL | {"noise": 0.0, "policy_kwargs": {"net_arch": [8], "activation_fn": "Tanh"}}
     model = make_model("apg", chosen, PLANTS[plant], 3, None)
@@ -94,12 +104,18 @@ def test_gradients_are_those_of_finite_differences(plant):
 
 
 def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
-    environment = {"road": "multiplicative", "speed": (1.0, 2.0), "bandwidth": (0.1, 0.3), **TOLD}
-    chosen = {"n_envs": 64, "n_steps": 32, "horizon": 16, "gradient_steps": 8, "n_timesteps": 40 * 2048}
+    """Where speed and bandwidth are hidden: a bank finds them when the agent drives."""
+    ranges = {"speed": (1.0, 2.0), "bandwidth": (0.1, 0.3)}
+    environment = {"road": "multiplicative", **ranges, **SENSED, "observe_operating_point": False}
+    chosen = {"n_envs": 64, "n_steps": 32, "horizon": 16, "gradient_steps": 8, "n_timesteps": 16 * 2048}
     agent = agents.train(
         tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=load_hyperparameters("apg") | SMALL | chosen
     )
-    found = evaluate({"agent": agent}, environment=environment, speeds=[1.5], bandwidths=[0.1], episodes=16)["agent"]
+    assert agent.description["filter_told"] == ["speed", "bandwidth"]
+    assert "where the filter was told speed and bandwidth, with" in theory_given(agent)
+    assert len(agent.filter.bank) == 25
+    size = {"speeds": [1.5], "bandwidths": [0.1], "episodes": 16, "duration": 100.0}
+    found = evaluate({"agent": agent}, environment=environment, **size)["agent"]
     assert found.mean < 0.5  # the best constant damping costs .982, certainty equivalence .290
 
 
@@ -108,10 +124,9 @@ def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
     [
         {"sensors": {"noise": 0.05, "delay": 0.2}},
         {"sensors": {"noise": 0.05, "bias": 0.1}},
-        {"observe_operating_point": False, "observation": ["travel"]},
         {"valve": {"rise_time": 0.1}},
     ],
 )
 def test_what_is_more_than_a_plain_filter_is_refused(changes):
-    with pytest.raises(ParameterError, match="sensors and valve must be ideal but for noise, speed and bandwidth known, and"):
+    with pytest.raises(ParameterError, match="sensors must be ideal but for noise and resolution, and the valve ideal, for"):
         make_model("apg", load_hyperparameters("apg") | SMALL, PLANTS["bounded"] | changes, 0, None)

@@ -64,15 +64,16 @@ def test_slow_valves(tmp_path):
 
 
 def test_unseen_cars(tmp_path):
-    size = ("--seeds", "1", "--timesteps", "1", "--episodes", "16", "--duration", "1", "--lags", "20")
-    _, head, *rows = run("unseen_cars.py", "--output", "agents", *size, folder=tmp_path).splitlines()
-    assert head.split() == ["analytic_optimum", "skyhook_continuous", "clipped_lqr", "nominal", "lags", "all"]
+    kinds, size = ("--learners", "nominal", "lags", "apg"), ("--episodes", "16", "--duration", "1", "--lags", "20")
+    training = ("--output", "agents", "--seeds", "1", "--timesteps", "1")
+    _, head, *rows = run("unseen_cars.py", *kinds, *training, *size, folder=tmp_path).splitlines()
+    assert head.split() == ["analytic_optimum", "skyhook_continuous", "clipped_lqr", "nominal", "lags", "apg"]
     assert [row[:15].strip() for row in rows] == ["unseen cars", "lag 20 ms"]
     for row in rows:
         best, *shares = (float(cell.split(" ± ")[0]) for cell in re.findall(r"\S+ ± \S+", row[15:]))
         assert best == 0
         assert all(-100 < share < 60 for share in shares)
-    assert sorted(path.name for path in (tmp_path / "agents").iterdir()) == ["all-0", "lags-0", "nominal-0"]
+    assert sorted(path.name for path in (tmp_path / "agents").iterdir()) == ["apg-0", "lags-0", "nominal-0"]
 
 
 def test_rules_of_two_masses(tmp_path):

@@ -210,6 +210,26 @@ def test_a_bank_covers_what_is_hidden_alone():
     assert np.all(known.deviations(belief)[:, -1] > 0)
 
 
+def test_where_the_car_is_known_each_has_the_filter_of_it():
+    """As one that sees speed and bandwidth, beyond the ends of episodes; and behind a valve of its own."""
+    point = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.5), "observation": ["travel", "acceleration"]}
+    shown = []
+    for own in (HIDDEN, {"observe_operating_point": True}):
+        layer = VectorKalmanObservation(batch(4, road="gaussian", **point, **own, max_episode_steps=5))
+        layer.car_known = True
+        shown.append([layer.reset(seed=3)[0], *(layer.step(np.full((4, 1), 0.1 * k, np.float32))[0] for k in range(1, 10))])
+    np.testing.assert_allclose(*shown, atol=1e-5)
+    vary = {"natural_frequency": (0.6, 1.4), "valve.delay": (0.0, 0.5), "valve.rise_time": (0.1, 0.3)}
+    envs = batch(4, road="gaussian", **point, vary=vary, max_episode_steps=5)
+    layer = VectorKalmanObservation(envs, hypotheses=2)
+    layer.car_known = True
+    layer.reset(seed=3)
+    for k in range(1, 10):
+        layer.step(np.full((4, 1), 0.1 * k, np.float32))
+        np.testing.assert_allclose(layer.belief.point[:, 0, 2:].T, envs.plant.drawn_now)
+        np.testing.assert_allclose(layer.belief.valve[:, 0], envs.plant.row("damping"), atol=1e-6)
+
+
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 @pytest.mark.parametrize("hidden", [False, True])
 def test_each_of_a_batch_is_the_single_environment_bit_by_bit(mode, hidden):

@@ -280,9 +280,9 @@ def test_an_agent_trains_on_cars_that_differ_and_keeps_their_law(tmp_path):
     assert agents.load(tmp_path).task.vary == make_task(vary=RANGES | LAGS, **TWO).vary
 
 
-def test_what_needs_one_car_refuses_many(tmp_path):
-    with pytest.raises(ParameterError, match="cars alike"):
-        agents.train(tmp_path, algorithm="apg", environment=TWO | {"vary": RANGES}, timesteps=1)
+def test_a_gradient_refuses_valves_whose_rate_varies(tmp_path):
+    with pytest.raises(ParameterError, match="the rate of the valve unlimited"):
+        agents.train(tmp_path, algorithm="apg", environment=TWO | {"vary": {"valve.rate": (1.0, 10.0)}}, timesteps=1)
 
 
 def test_the_command_line_takes_it(capsys):

@@ -131,7 +131,7 @@ def add_training(parser: argparse.ArgumentParser, *, seed_of: str, checkpoints: 
     group.add_argument(
         "--algorithm",
         help="apg, ppo, sac, td3, a2c, dqn or recurrent_ppo, which needs the extra recurrent "
-        "(apg; ppo with hyperparameters, wrappers, a valve, or sensors without a plain filter, and to tune)",
+        "(apg; ppo with hyperparameters or wrappers, with valves and sensors that apg refuses, and to tune)",
     )
     group.add_argument(
         "--hyperparameters",

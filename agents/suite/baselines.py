@@ -44,8 +44,8 @@ class Learner:
 
 
 BLIND = {"features": ["signals", "products"]}  # no lookahead
-PATIENT = {"n_envs": 64, "batch_size": 512, "gae_lambda": 0.95}  # behind a slow valve what an action does comes later
 APG = Learner(title="APG", kind="recipe", algorithm="apg", file="apg", timesteps=1_536_000)
+FILTERED = dataclasses.replace(APG, title="APG, filtered", changes={"estimator": "kalman"}, timesteps=768_000)
 PPO = Learner(title="PPO", kind="plain", algorithm="ppo", file="ppo_plain", timesteps=1_015_808)
 RECURRENT = Learner(title="recurrent PPO", kind="plain", algorithm="recurrent_ppo", file="recurrent_ppo", timesteps=507_904)
 LEARNERS: Mapping[str, Learner] = {  # of every task, but for those of `OWN`
@@ -55,14 +55,10 @@ LEARNERS: Mapping[str, Learner] = {  # of every task, but for those of `OWN`
     "sac": Learner(title="SAC", kind="plain", algorithm="sac", file="sac", changes=BLIND, timesteps=100_032),
     "td3": Learner(title="TD3", kind="plain", algorithm="td3", file="td3", changes=BLIND, timesteps=100_032),
 }
-OWN: Mapping[str, Learner] = {  # what this project trains on tasks where its gradient through the plant is not to be had
+OWN: Mapping[str, Learner] = {  # what this project trains on tasks that need more than its usual recipe
     "Schedule-v0": dataclasses.replace(PPO, title="bandit PPO", file="ppo_scheduling", timesteps=2_506_752),
-    "OneAccelerometer-v0": dataclasses.replace(APG, title="APG, filtered", changes={"estimator": "kalman"}, timesteps=768_000),
-    "SlowValve-v0": dataclasses.replace(
-        PPO, title="PPO with lookahead", kind="recipe", file="ppo", changes=PATIENT, timesteps=503_808
-    ),
-    "AnyCar-v0": dataclasses.replace(PPO, title="patient PPO", changes=PATIENT, timesteps=1_003_520),
-    "Explore-v0": RECURRENT,
+    "OneAccelerometer-v0": FILTERED,
+    "Explore-v0": FILTERED,
 }
 
 
