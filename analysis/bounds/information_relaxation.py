@@ -51,7 +51,7 @@ from ..feedback.grid import STATE, SingleArray
 from ..feedback.iteration import sharing, tabulate
 from ..feedback.model import Model
 from ..feedback.policy import OptimalFeedback
-from ..feedback.search import BOX, is_second_order, optimal_feedback
+from ..feedback.search import BOX, is_one_mass, optimal_feedback
 from .bound import STATISTICAL, LowerBound, common_refusal
 from .relaxation.inner import Grid, Steps, along, relax
 from .relaxation.roads import Drives, RoadChain, levels, nearest
@@ -77,7 +77,7 @@ def refusal(task: Task) -> str | None:
         return reason
     if not task.valve.ideal:
         return "information relaxation needs a damping that is held over each control interval, and so an ideal valve"
-    if not is_second_order(task.car):
+    if not is_one_mass(task.car):
         return "information relaxation needs the car of one mass"
     if road is None or road.bandwidth is None or road.flatness is None:
         return "information relaxation needs a Gaussian road, or a bounded one on a circle"
