@@ -41,7 +41,7 @@ def drive(rule: Callable[[np.ndarray], np.ndarray], lanes: int = 1024) -> tuple[
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("road", [GaussianRoad(bandwidth=0.2), ROAD, FirstOrderRoad()])
+@pytest.mark.parametrize("road", [GaussianRoad(bandwidth=0.2), ROAD])
 def test_without_freedom_it_costs_what_theory_says_of_constant_damping(road) -> None:
     result = optimal_feedback(road, speed=1.2, bounds=(0.3, 0.3001), **{**QUICK, "precision": 0.005})
     theory = float(analysis.mean_squares(road, damping=0.3, speed=1.2).displacement) / road.variance
