@@ -10,6 +10,7 @@ import pytest
 import analysis
 from analysis import feedback
 from analysis.feedback import OptimalFeedback, optimal_feedback
+from analysis.quadratic import plant_system
 from roadgym.parameters import ParameterError
 from roadgym.plant import Plant
 from roadgym.roads import FirstOrderRoad, GaussianRoad, MultiplicativeRoad
@@ -105,10 +106,17 @@ def test_predict_finds_its_signals() -> None:
         moved.damping(observations)
 
 
-@pytest.mark.parametrize("road", [GaussianRoad(bandwidth=0.2), MultiplicativeRoad.from_shape(shape=0.7, bandwidth=0.2)])
-def test_the_quadratic_part_is_exact(road) -> None:
+@pytest.mark.parametrize(
+    ("road", "comfort"),
+    [
+        (GaussianRoad(bandwidth=0.2), "acceleration"),
+        (MultiplicativeRoad.from_shape(shape=0.7, bandwidth=0.2), "acceleration"),
+        (FirstOrderRoad(), "velocity"),
+    ],
+)
+def test_the_quadratic_part_is_exact(road, comfort) -> None:
     """At the best constant damping, here a bound and so a node of D, cost and drift of h0 add up to a constant: its cost."""
-    weights = {"displacement": 1.0, "acceleration": 0.5, "travel": 0.1}
+    weights = {"displacement": 1.0, comfort: 0.5 if comfort == "acceleration" else 0.01, "travel": 0.1}
     best = analysis.optimal_damping(road, speed=1.0, weights=weights, bounds=(0.6, 1.0))
     assert best.damping == 1.0
     forms = feedback.Model(make_task(road=road, speed=1.0, reward=weights, damping_range=(0.6, 1.0))).forms
@@ -122,9 +130,34 @@ def test_the_road_step_has_the_exact_mean_and_covariance() -> None:
     nodes, offset, _, _ = model.road_step(5, 16)
     step = model._turn
     inner = np.linalg.norm(nodes, axis=1) < 2  # beyond, points are moved back to the grid's end
-    covariance = np.einsum("j,njk,njl->nkl", feedback.CHANCE, offset, offset)[inner]
-    np.testing.assert_allclose(feedback.CHANCE @ offset[inner], 0, atol=1e-12)
+    covariance = np.einsum("j,njk,njl->nkl", feedback.PLANE.chance, offset, offset)[inner]
+    np.testing.assert_allclose(feedback.PLANE.chance @ offset[inner], 0, atol=1e-12)
     np.testing.assert_allclose(covariance, np.broadcast_to(np.eye(2) - step @ step.T, covariance.shape), atol=1e-12)
+
+
+def test_on_a_first_order_road_the_rule_has_the_noise_of_road_and_car_at_each_damping() -> None:
+    task = make_task(road="first_order", speed=2.0)
+    model = feedback.Model(task)
+    nodes, offset, _, _ = model.road_step(8, 2)
+    offset = offset[np.abs(nodes[:, 0]).argmin()]
+    np.testing.assert_allclose(model.grid.chance @ offset, 0, atol=1e-4)
+    for damping in (0.05, 1.0):
+        noise = offset @ model.part(damping).gain.T  # of the car less what follows the level
+        noise += np.outer(offset[:, 0], model.follows)
+        both = np.column_stack([noise, offset[:, :1]])
+        exact = plant_system(task, damping, 2.0).step_covariance(task.control_interval)
+        np.testing.assert_allclose(both.T @ (model.grid.chance[:, None] * both), exact, atol=1e-4)
+
+
+@pytest.mark.statistical
+def test_on_a_first_order_road_it_beats_the_best_lookahead_and_knows_its_cost() -> None:
+    result = optimal_feedback("first_order", speed=2.0, bounds=(0.2, 1.0), **QUICK)
+    assert result.state == ("displacement", "velocity", "level")
+    assert result.cost + 4 * result.standard_error < 0.75 * 0.2666  # of the mixed lookahead
+    assert result.history[-1].expected == pytest.approx(result.cost, rel=0.05)
+    level = np.random.default_rng(1).normal(size=500)
+    states = np.stack([0.4 * level, -0.3 * level, level], axis=1)
+    np.testing.assert_allclose(result.damping(states), result.damping(-states), atol=1e-3)
 
 
 def test_minima_of_polynomials() -> None:
@@ -266,7 +299,7 @@ def test_result_that_cannot_be_kept_is_returned(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"road": FirstOrderRoad(noise_intensity=0.2)}, "road must be gaussian"),
+        ({"road": "two_corner"}, "road must be of first order, gaussian"),
         ({"road": MultiplicativeRoad(slope_bound=0.5)}, "on a circle"),
         ({"road": "cobbles"}, "cobbles"),
         ({"speed": 0.0}, "speed must be positive, got 0"),

@@ -123,7 +123,7 @@ def test_a_comparison_holds_costs_against_the_bounds_that_it_is_asked_for():
 
 def test_methods_may_be_chosen_and_other_ones_are_left_out():
     told = certify_optimality(
-        environment={"road": "first_order", "speed": 1.0},
+        environment={"road": "harmonic", "speed": 1.0},
         speed=1.0,
         methods=["matrix_inequality"],
         episodes=32,

@@ -8,6 +8,7 @@ from agents.theory import theoretical_cost
 from analysis.bounds import matrix_inequality, pathwise_multipliers
 from analysis.bounds.pathwise_multipliers import Held, _single
 from analysis.bounds.relaxation.multipliers import ascend, dual
+from roadgym.linear import LinearSystem
 from roadgym.parameters import ParameterError
 from roadgym.task import make_task
 
@@ -77,7 +78,12 @@ def test_the_slope_of_the_dual_is_that_of_differences():
 @pytest.mark.statistical
 @pytest.mark.parametrize(
     "plant",
-    [{"road": "gaussian", "speed": 1.5, "bandwidth": 0.8, "reward": {"acceleration": 1.0, "travel": 0.5}}, COMFORT, PROFILE],
+    [
+        {"road": "gaussian", "speed": 1.5, "bandwidth": 0.8, "reward": {"acceleration": 1.0, "travel": 0.5}},
+        {"road": "harmonic", "speed": 1.5},
+        COMFORT,
+        PROFILE,
+    ],
 )
 def test_where_the_damping_is_nearly_fixed_it_is_the_closed_form_but_for_the_ends(plant, monkeypatch):
     monkeypatch.setattr(pathwise_multipliers, "DURATION", 60.0)
@@ -105,12 +111,26 @@ def test_a_measured_road_has_a_bound_for_those_who_know_it_ahead():
     assert 0.2 * best < found.cost < best
 
 
+def test_a_wave_has_a_bound_above_that_of_the_matrix_inequality_and_below_a_rule_that_is_driven():
+    task = make_task(road="harmonic", speed=1.5)
+    low, high = task.damping_range
+    plant = LinearSystem.of(task.road.shaping_filter(), task.car.motion, damping=[low, high], ratio=1.5)
+    moved = plant.transition(0.02)
+    state, squares = np.array([0.0, 0.0, np.sqrt(2), 0.0]), []
+    for _ in range(20000):  # firm where that brakes the body
+        firm = state[1] * (plant.signals["relative_velocity"][0] @ state) > 0
+        state = moved[int(firm)] @ state
+        squares.append(state[0] ** 2)
+    found = bound_of(task)
+    assert found.standard_error == 0
+    assert 1.5 * matrix_inequality.bound(task, 1.5, 0.0).cost < found.cost < np.mean(squares[10000:])
+
+
 @pytest.mark.parametrize(
     ("plant", "reason"),
     [
         ({"road": "first_order", "speed": 1.0}, "a damper that feels no white noise"),
         ({"road": "multiplicative", "speed": 1.0}, "a road of Gaussian noise"),
-        ({"road": "harmonic", "speed": 1.0}, "a road of Gaussian noise"),
     ],
 )
 def test_what_it_is_not_there_for(plant, reason):

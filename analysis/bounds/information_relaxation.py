@@ -16,7 +16,10 @@ relative value h it would be the optimum.
 mean is exact. w is a table, and its mean after an interval is not known; but only *zero* mean matters. M_k expands w in
 the noise of the road about its mean, in polynomials less their conditional means, which are exact on these roads
 (`analysis.bounds.relaxation.moments`); the car's noise is taken as the linear function of the road's that it nearly is, and a
-linear term has the rest. The coefficients are values of w, which x_k and D_k determine. So the mean is zero for any table.
+linear term has the rest. On a first-order road, which is Gaussian, piecewise cubics take the place of the polynomials, and of
+the car's noise what does not follow from the road's, at each damping another, is expanded too
+(`analysis.bounds.relaxation.expansion`). The coefficients are values of w, which x_k and D_k determine. So the mean is zero for
+any table.
 
 *Variance.* The bracket of (*) along a feedback that does not foresee has the mean N g', g' its cost, which is driven on its
 own. The bound is g' plus the mean difference between the inner problem's value and that bracket, over the same roads and
@@ -47,16 +50,17 @@ from roadgym.task import Task, make_task
 
 from ..checks import FloatArray, single_threaded_algebra
 from ..feedback.driving import CARS, drive
-from ..feedback.grid import STATE, SingleArray
+from ..feedback.grid import SingleArray
 from ..feedback.iteration import sharing, tabulate
 from ..feedback.model import Model
 from ..feedback.policy import OptimalFeedback
-from ..feedback.search import BOX, is_second_order, optimal_feedback
+from ..feedback.road_grid import grid_of
+from ..feedback.search import BOX, is_one_mass, optimal_feedback
 from .bound import STATISTICAL, LowerBound, common_refusal
 from .relaxation.inner import Grid, Steps, along, relax
 from .relaxation.roads import Drives, RoadChain, levels, nearest
 
-VALUE_GRID = np.array([11, 32, 54])  # rings, rays and rows of w
+VALUE_LEVEL = 2  # of the sizes of tables of w
 ROWS = 72  # of the inner problem's grid
 LEVELS = 17  # of D, all in the refined inner problems and every second one in the others
 GROUP, LEAST = 16, 32  # roads: solved together, and at least for the errors to be known
@@ -72,15 +76,17 @@ ASSUMPTION = (
 
 def refusal(task: Task) -> str | None:
     """Why there is no such bound for ``task``, in a few words; None where there is."""
-    reason, road = common_refusal(task), task.road.shaping_filter()
+    reason = common_refusal(task)
     if reason is not None:
         return reason
     if not task.valve.ideal:
         return "information relaxation needs a damping that is held over each control interval, and so an ideal valve"
-    if not is_second_order(task.car):
+    if not is_one_mass(task.car):
         return "information relaxation needs the car of one mass"
-    if road is None or road.bandwidth is None or road.flatness is None:
-        return "information relaxation needs a Gaussian road, or a bounded one on a circle"
+    try:
+        grid_of(task.road)
+    except ParameterError:
+        return "information relaxation needs a road of first order, a Gaussian one, or a bounded one on a circle"
     return None
 
 
@@ -127,13 +133,13 @@ def bound(
             report(furthest, 100)
 
     point = make_task(
-        road=task.road.with_bandwidth(bandwidth),
+        road=task.road.with_bandwidth(bandwidth) if task.bandwidth[1] > 0 else task.road,
         speed=speed,
         car=task.car,
         reward=task.reward_by_name,
         damping_range=task.damping_range,
         control_interval=task.control_interval,
-        observation=STATE,
+        observation=grid_of(task.road).state,
         observe_operating_point=False,
     )
     feedback = optimal_feedback(
@@ -165,7 +171,7 @@ class Relaxation:
     """The inner problems of some roads at one operating point.
 
     Args:
-        task: the plant at the operating point; signals `STATE` are observed.
+        task: the plant at the operating point; its states are observed.
         feedback: the best there.
         precision, intervals, seed, threads: see `bound`.
         told: called with the share that is done.
@@ -193,7 +199,7 @@ class Relaxation:
         dampings = levels(task, LEVELS)
         model = Model(task)
         self._box, self._intervals = feedback.box, intervals
-        rings, rays, rows = VALUE_GRID.tolist()
+        rings, rays, rows = size = model.grid.sizes[VALUE_LEVEL]
         self._grid = Grid(rows, 2 * self._box / (rows - 1))
         self._chain = RoadChain(task, model, dampings, rings, rays)
         self.bracket, self.gaps, self.changes = np.empty(0), np.empty(0), np.empty(0)
@@ -202,14 +208,14 @@ class Relaxation:
             damping[begin:end] = dampings[nearest(dampings, feedback.damping(states[begin:end]))]
 
         with sharing(threads) as share:
-            self._value, _, expected, _ = tabulate(model, VALUE_GRID, self._box, share, lambda done: told(0.4 + 0.1 * done))
+            self._value, _, expected, _ = tabulate(model, np.array(size), self._box, share, lambda done: told(0.4 + 0.1 * done))
             self._price = QUARTIC * expected
             driven = drive(
                 task,
                 respond,
                 drive_noise,
                 cars=CARS,
-                moving=STATE[:2],
+                moving=task.signals[:2],
                 precision=DRIVEN * precision,
                 pieces=None,
                 share=share,
@@ -222,6 +228,7 @@ class Relaxation:
                     task,
                     dampings,
                     self._chain.chain.maps,
+                    model.follows,
                     feedback,
                     paths=GROUP,
                     intervals=intervals,

@@ -14,7 +14,8 @@ integral of m u (k v_r - u) is a regulator with known forcing (`relaxation.multi
 best are sought by ascent. With one multiplier for all roads and moments, and its P, (*) is the bound of `matrix_inequality`:
 there the sector holds in the mean alone, here at each moment of each road.
 
-On a measured road there is no noise, hence no penalty: the bound is one of all controllers that know the road ahead.
+On a measured road, or a single wave, there is no noise, hence no penalty: the bound is one of all controllers that know the
+road ahead.
 
 *The form P* is a mean of that of the matrix inequality, and of the relative value of the best constant damping; of some shares
 the one is taken with which other roads, which are driven for this alone, have the largest bound.
@@ -27,6 +28,7 @@ the same noise, and what that lowers the bound by is charged, times 4/3 for erro
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -35,6 +37,7 @@ import numpy as np
 from roadgym.linear import LinearSystem, ShapingFilter
 from roadgym.parameters import ParameterError, whole, within
 from roadgym.processors import usual_threads
+from roadgym.roads import Road
 from roadgym.task import Task
 
 from ..checks import FloatArray, single_threaded_algebra
@@ -64,10 +67,10 @@ COARSE = np.logspace(-6, 4, 41)  # single multipliers that are tried, in units o
 def refusal(task: Task) -> str | None:
     """Why there is no such bound for this task; None where there is."""
     reason, road = common_refusal(task), task.road.shaping_filter()
-    if reason is not None or task.road.periodic is not None:
+    if reason is not None or _lap(task.road) is not None:
         return reason
     if road is None or road.flatness != 0 or not road.noise.any():
-        return "pathwise multipliers need a road of Gaussian noise, or a measured one"
+        return "pathwise multipliers need a road of Gaussian noise, a measured one, or a single wave"
     if np.any(road.level @ road.noise) and task.car.motion.relative in task.car.motion.rough:
         return "pathwise multipliers need a damper that feels no white noise"
     return None
@@ -84,7 +87,7 @@ def bound(
     threads: int | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> LowerBound:
-    """The bound at an operating point, with its standard error; none of a measured road, which is the same at each lap.
+    """The bound at an operating point, with its standard error; none of a road that is the same at each lap.
 
     Args:
         task: plant, weights and range of D.
@@ -104,15 +107,16 @@ def bound(
     precision = within("precision", precision, "relative_error")
     count = usual_threads() if threads is None else whole("threads", threads, of="threads")
     told = report or (lambda done, total: None)
-    if task.road.periodic is not None:
-        cost, error = _measured(task, speed), 0.0
+    lap = _lap(task.road)
+    if lap is not None:
+        cost, error = _known(task, speed, lap), 0.0
     else:
         cost, error = _random(task, speed, bandwidth, precision, seed, count, told)
     told(100, 100)
     return LowerBound(
         cost=max(cost, 0.0),
         method="pathwise_multipliers",
-        assumption=FORESEEN if task.road.periodic is not None else ASSUMPTION,
+        assumption=ASSUMPTION if lap is None else FORESEEN,
         rigour=STATISTICAL,
         standard_error=error,
     )
@@ -234,11 +238,41 @@ def _steps(task: Task, road: ShapingFilter, ratio: float) -> tuple[float, float]
     return STEP / float(np.abs(rates).max()), DURATION / float((-rates.real).min())
 
 
-def _measured(task: Task, speed: float) -> float:
-    """The bound on a measured road, over whole laps."""
-    period = task.road.periodic
-    assert period is not None
-    ratio = float(task.frequency_ratio(speed))
+@dataclasses.dataclass(frozen=True, eq=False)
+class Lap:
+    """A road without noise that repeats itself.
+
+    Attributes:
+        filter: what its states become within a step.
+        period: angle after which it repeats itself, rad.
+        states: of even angles, shape (N + 1,), its states at all but the last, shape (N, 2).
+    """
+
+    filter: ShapingFilter
+    period: float
+    states: Callable[[FloatArray], FloatArray]
+
+
+def _lap(road: Road) -> Lap | None:
+    """That of a measured road, taken straight within a step, or of a single wave; None of any other."""
+    wave, measured = road.shaping_filter(), road.periodic
+    if wave is not None and road.lines is not None and len(road.lines) == 1:
+        ratio = road.lines[0][1]
+
+        def turned(angles: FloatArray) -> FloatArray:
+            phases = ratio * angles[:-1]
+            return math.sqrt(2) * np.stack([np.cos(phases), -np.sin(phases)], axis=1)
+
+        return Lap(wave, 2 * math.pi / ratio, turned)
+    if measured is None:
+        return None
+    points = np.arange(len(measured.levels) + 1) * measured.angle
+    closed = np.append(measured.levels, measured.levels[0])
+
+    def looked_up(angles: FloatArray) -> FloatArray:
+        levels = np.interp(angles % measured.period, points, closed)
+        return np.stack([levels[:-1], np.diff(levels) / np.diff(angles)], axis=1)
+
     straight = ShapingFilter(
         states=("level", "slope"),
         drift=np.array([[0.0, 1.0], [0.0, 0.0]]),
@@ -246,21 +280,25 @@ def _measured(task: Task, speed: float) -> float:
         level=np.array([1.0, 0.0]),
         covariance=np.eye(2),
     )
-    longest, duration = _steps(task, straight, ratio)
-    lap = period.period / ratio
-    steps = math.ceil(max(1, math.ceil(duration / lap)) * lap / longest)
+    return Lap(straight, measured.period, looked_up)
+
+
+def _known(task: Task, speed: float, road: Lap) -> float:
+    """The bound on a road that is known, over whole laps."""
+    ratio = float(task.frequency_ratio(speed))
+    longest, duration = _steps(task, road.filter, ratio)
+    lap = road.period / ratio
+    time = max(1, math.ceil(duration / lap)) * lap
+    steps = math.ceil(time / longest)
     found: list[float] = []
     near = None
     for number in (steps, 2 * steps):
-        step = max(1, math.ceil(duration / lap)) * lap / number
-        angles = ratio * step * np.arange(number + 1)
-        points = np.arange(len(period.levels) + 1) * period.angle
-        levels = np.interp(angles % period.period, points, np.append(period.levels, period.levels[0]))
-        road = np.stack([levels[:-1], np.diff(levels) / (ratio * step)], axis=1)
-        held = Held(straight, task, ratio, step)
+        step = time / number
+        states = road.states(ratio * step * np.arange(number + 1, dtype=float))
+        held = Held(road.filter, task, ratio, step)
         nothing = np.zeros((len(held.whole), len(held.whole)))
         noise = np.zeros((number, len(held.whole)))
-        value, multipliers = held.least(road, noise, nothing, _single(held, road, noise, nothing), near)
+        value, multipliers = held.least(states, noise, nothing, _single(held, states, noise, nothing), near)
         found.append(value)
         near = np.repeat(multipliers, 2) / 2
     return found[0] - CHARGE * max(0.0, found[0] - found[1])

@@ -16,7 +16,6 @@ from ..checks import FloatArray
 SingleArray = npt.NDArray[np.float32]
 
 STATE = ("displacement", "velocity", "level", "slope")
-GRIDS = ((6, 16, 24), (8, 24, 36), (11, 32, 54), (11, 32, 72))  # rings, rays, and rows (as many columns), coarse to fine
 LARGEST_RADIUS = 4.0  # end of the polar grid on roads without a nearer bound; beyond lies 3e-4 of the Gaussian law
 TRIALS = 9  # even points of [-1, 1] among which the minimum is sought before Newton's steps
 LANE = 64  # states evaluated together
@@ -146,10 +145,10 @@ def minimise(coefficients: Any, count: Any, place: Any, least: Any) -> None:
 
 @compiled
 def evaluate(begin: int, end: int, states: Any, columns: Any, policy: Any, geometry: Any, shape: Any, damping: Any) -> None:
-    """The feedback for the rows ``begin`` to ``end`` of ``states``; Y, X, Z, U are the ``columns`` of a row.
+    """The feedback for the rows ``begin`` to ``end`` of ``states``; Y, X, Z, and U where there is one, are the ``columns``.
 
-    ``policy`` is flat; ``geometry`` has the spacing of the rings, the sides of the cells, and the three numbers that turn the
-    variable of D into D; ``damping`` takes the result, float32.
+    ``policy`` is flat; ``geometry`` has the spacing of the rings, the sides of the cells, the three numbers that turn the
+    variable of D into D, and how much of Z is taken from Y and X; ``damping`` takes the result, float32.
     """
     rings, rays, size = shape[0], shape[1], shape[2]
     spacing, height, width = geometry[0], geometry[1], geometry[2]
@@ -163,7 +162,10 @@ def evaluate(begin: int, end: int, states: Any, columns: Any, policy: Any, geome
         count = min(LANE, end - first)
         for n in range(count):
             y, x = np.float64(states[first + n, columns[0]]), np.float64(states[first + n, columns[1]])
-            z, u = np.float64(states[first + n, columns[2]]), np.float64(states[first + n, columns[3]])
+            z, u = np.float64(states[first + n, columns[2]]), 0.0
+            if len(columns) > 3:
+                u = np.float64(states[first + n, columns[3]])
+            y, x = y - geometry[6] * z, x - geometry[7] * z
             road_stencil(z, u, spacing, rings, rays, index, weight)
             row, t = locate(y / height + centre, size)
             v = cubic(t)
@@ -202,7 +204,13 @@ def variable_of(bounds: tuple[float, float], interval: float) -> tuple[float, fl
 
 
 def geometry_of(
-    road: Road, shape: npt.NDArray[np.int64], box: FloatArray, bounds: tuple[float, float], interval: float
+    road: Road,
+    shape: npt.NDArray[np.int64],
+    box: FloatArray,
+    bounds: tuple[float, float],
+    interval: float,
+    follows: FloatArray,
 ) -> FloatArray:
-    """Spacing of the rings, sides of the cells, and `variable_of`."""
-    return np.array([radius_of(road) / (shape[0] - 0.5), *(2 * box / (shape[2] - 1)), *variable_of(bounds, interval)])
+    """Spacing of the rings, sides of the cells, `variable_of`, and how much of Z is taken from (Y, X)."""
+    spacing = radius_of(road) / (shape[0] - 0.5)
+    return np.array([spacing, *(2 * box / (shape[2] - 1)), *variable_of(bounds, interval), *follows])

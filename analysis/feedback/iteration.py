@@ -16,7 +16,7 @@ from roadgym.compiled import compiled
 
 from ..checks import FloatArray
 from .grid import ZERO, SingleArray, add_shifted, interpolate, minimise
-from .model import CHANCE, NODE, NODES, POINTS, Model
+from .model import NODE, NODES, Model
 
 SWEEPS, CHECK, SETTLED = 400, 5, 1e-3  # at most; between two checks; rms change of the value over the cost that ends them
 # coefficients of t, ..., t^4 of the polynomial through (t_k, q_k), less its constant, from the differences q_k - q_0
@@ -36,6 +36,7 @@ def sweep(
     road: Any,
     maps: Any,
     gains: Any,
+    chance: Any,
     forms: Any,
     shape: Any,
     cell: Any,
@@ -45,11 +46,12 @@ def sweep(
     Args:
         old, new: the tabulated value, shape (rings * rays, rows * columns).
         policy: coefficients of the polynomials in the variable of D, shape (rings * rays, rows * columns, 4), or no entry.
-        index, weight: stencils of the road's step, shape (nodes, POINTS, 16).
-        offset: its five points less their mean, shape (nodes, POINTS, 2).
+        index, weight: stencils of the road's step, shape (nodes, points, 16).
+        offset: its points less their mean, with what noise of its own the car has, shape (nodes, points, 2).
         road: (z, u) of the nodes, shape (nodes, 2).
         maps: mean of the car's step, shape (NODES, 2, 4).
-        gains: its regression on the road's deviation from its mean, shape (NODES, 2, 2).
+        gains: how it follows that noise, shape (NODES, 2, 2).
+        chance: weights of the points, shape (points,).
         forms: interval cost plus drift of h0, see `Model`, shape (NODES, 11).
         shape: rings, rays, rows.
         cell: sides of the rectangle's cells, shape (2,).
@@ -57,14 +59,15 @@ def sweep(
     rays, size = shape[1], shape[2]
     cells = size * size
     centre = 0.5 * (size - 1)
-    tables = np.empty((POINTS, cells), np.float32)
+    points = len(chance)
+    tables = np.empty((points, cells), np.float32)
     expected = np.empty((NODES, cells), np.float32)
     middle = np.empty(size, np.float32)
     q = np.empty((NODES, size))
     coefficients = np.empty((4, size), np.float32)
     place, least = np.empty(size, np.float32), np.empty(size, np.float32)
     for node in range(begin, end):
-        for j in range(POINTS):
+        for j in range(points):
             table = tables[j]
             table[:] = ZERO
             for m in range(16):
@@ -73,11 +76,11 @@ def sweep(
                     table[k] += w * source[k]
         for a in range(NODES):
             expected[a, :] = ZERO
-            for j in range(POINTS):
+            for j in range(points):
                 dz, du = offset[node, j, 0], offset[node, j, 1]
                 row_shift = (gains[a, 0, 0] * dz + gains[a, 0, 1] * du) / cell[0]
                 column_shift = (gains[a, 1, 0] * dz + gains[a, 1, 1] * du) / cell[1]
-                add_shifted(tables[j], size, row_shift, column_shift, np.float32(CHANCE[j]), middle, expected[a])
+                add_shifted(tables[j], size, row_shift, column_shift, np.float32(chance[j]), middle, expected[a])
         z, u = road[node, 0], road[node, 1]
         here = node // (rays // 2) * rays + node % (rays // 2)
         mirror = here + rays // 2
@@ -184,7 +187,7 @@ def regridded(coarse: Tabulated, shape: Sequence[int], box: FloatArray) -> Singl
     ]
     for axis, place in enumerate(places):
         count = values.shape[axis]
-        values = make_interp_spline(np.arange(count), values, axis=axis)(np.clip(place, 0, count - 1))
+        values = make_interp_spline(np.arange(count), values, k=min(3, count - 1), axis=axis)(np.clip(place, 0, count - 1))
     return np.ascontiguousarray(values.reshape(new_rings * new_rays, new_rows**2), np.float32)
 
 
@@ -209,7 +212,8 @@ def tabulate(
 
     def apply(old: SingleArray, new: SingleArray, target: SingleArray) -> None:
         def part(begin: int, end: int) -> None:
-            sweep(begin, end, old, new, target, index, weight, offset, road, model.maps, model.gains, model.forms, shape, cell)
+            plant = model.maps, model.gains, model.grid.chance, model.forms
+            sweep(begin, end, old, new, target, index, weight, offset, road, *plant, shape, cell)
 
         share(len(road), part)
 

@@ -25,7 +25,8 @@ from roadgym.parameters import ParameterError, number_array
 from roadgym.roads import Road
 
 from ..checks import FloatArray
-from .grid import GRIDS, STATE, SingleArray, evaluate, geometry_of
+from .grid import SingleArray, evaluate, geometry_of
+from .road_grid import grid_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,23 +137,23 @@ class Feedback(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class OptimalFeedback(Feedback):
-    """The best feedback found on a second-order road, of the states (Y, X, Z, U); made by `optimal_feedback`.
+    """The best feedback found of a car of one mass, of the states (Y, X, Z, U), or (Y, X, Z); made by `optimal_feedback`.
 
     Attributes:
         history: the refinements, coarse to fine.
-        box: half the sides of the rectangle of (Y, X), in standard deviations of the road, shape (2,).
-        policy: the tabulated polynomials, shape (rings, rays, rows, rows, 4).
+        box: half the sides of the rectangle of (Y, X), less what follows Z on a first-order road, in standard deviations of the
+            road, shape (2,).
+        policy: the tabulated polynomials, shape (rings, rays, rows, rows, 4); a first-order road has two rays.
     """
 
     history: tuple[Refinement, ...]
-    signals: tuple[str, ...] = (*STATE, "speed", "bandwidth")
     box: FloatArray
     policy: SingleArray
 
     @property
     def state(self) -> tuple[str, ...]:
-        """(Y, X, Z, U)."""
-        return STATE
+        """(Y, X, Z, U), without U on a first-order road."""
+        return grid_of(self.road).state
 
     def kept(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
         """The figures, and the table."""
@@ -169,8 +170,12 @@ class OptimalFeedback(Feedback):
     def _table(self) -> tuple[SingleArray, FloatArray, npt.NDArray[np.int64]]:
         """Arguments of `evaluate`."""
         shape = np.array(self.policy.shape[:3])
-        interval = self.control_interval * self.natural_frequency
-        geometry = geometry_of(self.road, shape, self.box, self.bounds, interval)
+        interval, ratio = (
+            self.control_interval * self.natural_frequency,
+            self.speed * self.road.wavenumber / self.natural_frequency,
+        )
+        follows = grid_of(self.road).follows(ratio, self.bounds)
+        geometry = geometry_of(self.road, shape, self.box, self.bounds, interval, follows)
         return self.policy.reshape(-1), geometry, shape
 
 
@@ -232,14 +237,17 @@ def sound_feedback(
 ) -> OptimalFeedback | None:
     """The result that was kept, if `optimal_feedback` could have found it."""
     history = tuple(Refinement(**refinement) for refinement in figures["history"])
-    result = OptimalFeedback(**point, **figures | {"history": history}, box=arrays["box"], policy=arrays["policy"])
+    known = grid_of(point["road"])
+    result = OptimalFeedback(
+        **point, **figures | {"history": history}, signals=known.signals, box=arrays["box"], policy=arrays["policy"]
+    )
     grids = [(grid.rings, grid.rays, grid.rows) for grid in result.history]
     chosen = min(result.history, key=lambda grid: grid.cost)  # the first of equals, as it chooses
     positive_figures = [result.cost, result.standard_error, *result.box.tolist()]
     for grid in result.history:
         positive_figures += [grid.sweeps, grid.expected, grid.cost, grid.standard_error]
     sound = (
-        grids == list(GRIDS[: len(grids)])
+        grids == list(known.sizes[: len(grids)])
         and are_positive(positive_figures)
         and result.box.shape == (2,)
         and result.box.dtype == np.float64

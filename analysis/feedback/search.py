@@ -20,10 +20,11 @@ from roadgym.task import Task, make_task
 
 from ..checks import FloatArray
 from .driving import CARS, COMPARED_CARS, Respond, drive
-from .grid import GRIDS, STATE, SingleArray, evaluate, geometry_of
+from .grid import STATE, SingleArray, evaluate, geometry_of
 from .iteration import Tabulated, sharing, tabulate
 from .model import Model
 from .policy import OptimalFeedback, Refinement, kept_path, load, save
+from .road_grid import grid_of
 from .settings import COMPARED, Settings, is_refined
 from .white.model import check as check_white
 from .white.search import WhiteRoad, WhiteRoadFeedback
@@ -34,16 +35,14 @@ BOX = 8.0  # half the sides of the rectangle, in root mean squares of the car; 5
 
 def check_plant(road: Road, car: Car, weighed: Sequence[str]) -> None:
     """Raises `ParameterError` for a plant, or a cost of these mean squares, for which `optimal_feedback` is not there."""
-    if not is_second_order(car):
+    if is_one_mass(car):
+        grid_of(road)
+    else:
         check_white(road, car, weighed)
-        return
-    road_filter = road.shaping_filter()
-    if road_filter is None or road_filter.bandwidth is None or road_filter.flatness is None:
-        raise ParameterError(f"road must be gaussian, or multiplicative on a circle, got {road!r}")
 
 
-def is_second_order(car: Car) -> bool:
-    """Is the car, with a second-order road, described by `STATE`?"""
+def is_one_mass(car: Car) -> bool:
+    """Is the car, with its road, described by `STATE`?"""
     return car.motion.is_one_mass and set(STATE[:2]) <= set(car.mean_squares)
 
 
@@ -67,14 +66,14 @@ def optimal_feedback(
 ) -> OptimalFeedback | WhiteRoadFeedback:
     """The best state feedback within ``bounds`` at one operating point; `analysis.feedback` says how it is found.
 
-    With the car of one mass it is one of (Y, X, Z, U), on second-order roads; with one of two masses, of the states of the car
-    and the level, on first-order roads such as those of ISO 8608: that is found once for all their classes and speeds
-    (`analysis.feedback.white`). Tables are refined until the driven cost changes by less than ``tolerance`` and the table
-    expects about that cost, and the feedback with the least cost is driven once more, over fresh noise. Seconds to a minute on
-    one processor, two with two masses.
+    With the car of one mass it is one of (Y, X, Z, U) on second-order roads, and of (Y, X, Z) on first-order roads such as
+    those of ISO 8608; with one of two masses, of the states of the car and the level, on first-order roads: that is found once
+    for all their classes and speeds (`analysis.feedback.white`). Tables are refined until the driven cost changes by less than
+    ``tolerance`` and the table expects about that cost, and the feedback with the least cost is driven once more, over fresh
+    noise. Seconds to a minute on one processor, two with two masses.
 
     Args:
-        road: a Gaussian road, or a multiplicative road on a circle, and with two masses a first-order road; or its name or
+        road: a first-order road, and with one mass a Gaussian road, or a multiplicative road on a circle; or its name or
             mapping.
         speed: v > 0, m/s.
         bandwidth: delta > 0, 1, in place of the road's, at the same variance.
@@ -104,7 +103,7 @@ def optimal_feedback(
     low, high = positive_range("bounds", the_car.default_damping_range if bounds is None else bounds, "damping")
     if low == high:
         raise ParameterError(f"bounds must be a pair (low, high) with low < high, got {shown(bounds)}")
-    problem = (SecondOrderRoad if is_second_order(the_car) else WhiteRoad)(
+    problem = (OneMass if is_one_mass(the_car) else WhiteRoad)(
         make_task(
             road=road,
             speed=within("speed", speed, "moving speed"),
@@ -150,18 +149,18 @@ def optimal_feedback(
     return result
 
 
-class SecondOrderRoad:
-    """The search for a car of one mass on a second-order road.
+class OneMass:
+    """The search for a car of one mass.
 
     Attributes:
         refinements: most tables to make.
         description: what the result depends on beside the settings.
     """
 
-    refinements = len(GRIDS)
-
     def __init__(self, task: Task) -> None:
-        self._task = dataclasses.replace(task, signals=STATE)
+        self._grid = grid_of(task.road)
+        self._task = dataclasses.replace(task, signals=self._grid.state)
+        self.refinements = len(self._grid.sizes)
         self._point: dict[str, Any] = {
             "road": task.road,
             "speed": task.speed[0],
@@ -193,8 +192,8 @@ class SecondOrderRoad:
 
         def rule(box: FloatArray, policy: SingleArray) -> Respond:
             shape = np.array(policy.shape[:3])
-            geometry = geometry_of(task.road, shape, box, task.damping_range, interval)
-            flat, columns = policy.reshape(-1), np.arange(len(STATE))
+            geometry = geometry_of(task.road, shape, box, task.damping_range, interval, model.follows)
+            flat, columns = policy.reshape(-1), np.arange(len(task.signals))
 
             def respond(begin: int, end: int, states: SingleArray, damping: SingleArray) -> None:
                 evaluate(begin, end, states, columns, flat, geometry, shape, damping)
@@ -202,7 +201,7 @@ class SecondOrderRoad:
             return respond
 
         with sharing(threads) as share:
-            for level, (rings, rays, rows) in enumerate(GRIDS[: settings.refinements]):
+            for level, (rings, rays, rows) in enumerate(self._grid.sizes[: settings.refinements]):
                 told_here = settings.share_of(level, told)
                 value, policy, expected, sweeps = tabulate(
                     model, np.array([rings, rays, rows]), box, share, told_here(0.0, 0.8), coarse
@@ -235,7 +234,7 @@ class SecondOrderRoad:
                 history.append(refinement)
                 if len(history) > 1 and is_refined(history[-2], refinement, settings.tolerance):
                     break
-                box = BOX * driven.deviation
+                box = BOX * self._grid.deviation(driven.deviation, model.deviation)
             assert chosen is not None
             _, box, policy = chosen
             final = drive(
@@ -251,5 +250,11 @@ class SecondOrderRoad:
                 told=settings.share_of(settings.refinements, told)(0.0, 1.0),
             )
         return OptimalFeedback(
-            **self._point, cost=final.cost, standard_error=final.standard_error, history=tuple(history), box=box, policy=policy
+            **self._point,
+            cost=final.cost,
+            standard_error=final.standard_error,
+            history=tuple(history),
+            signals=self._grid.signals,
+            box=box,
+            policy=policy,
         )

@@ -42,8 +42,8 @@ def penalty_table(slices: Any, factor: Any, offset: Any, gain: Any, rest: Any, g
 
     Args:
         slices: w at the points of the road, shape (points, cells); the first is its mean.
-        factor, offset: see `NoisePolynomials`.
-        gain: how the car's states follow the road's noise, shape (2, 2).
+        factor, offset: see `analysis.bounds.relaxation.expansion`, shapes (points,) and (points, 2).
+        gain: how the car's states follow the noise of the points, shape (2, 2).
         rest: of the car's noise, what does not, shape (2,).
         grid: that of w.
         middle: room for a row.
@@ -68,7 +68,7 @@ class Chain(NamedTuple):
 
     Attributes:
         maps: of the car's states, shape (dampings, 2, 2).
-        gains: how their noise follows the road's, shape (dampings, 2, 2).
+        gains: how their noise follows that of the points, shape (dampings, 2, 2).
         squares: coefficients of yy, yx, xx, shape (dampings, 3).
     """
 
@@ -83,10 +83,10 @@ class Steps(NamedTuple):
     Attributes:
         nodes, weights: stencils in w of the road at their ends, shape (intervals + 1, 16).
         point_nodes, point_weights: of the points about its mean, shape (intervals, points, 16).
-        factor, offset: see `NoisePolynomials`, shape (intervals, points) and (intervals, points, 2).
+        factor, offset: see `Expanded`.
         moved: what it adds to the car's states in the mean, shape (intervals, dampings, 2).
         noise: what it adds beyond that, likewise.
-        rest: of the noise, what does not follow the road's as ``Chain.gains`` says, likewise.
+        rest: of the noise, what does not follow that of the points as ``Chain.gains`` says, likewise.
         linear, constant: interval cost plus drift of h0: linear part in the car's states, and constant, shape (intervals,
             dampings, 2) and (intervals, dampings).
     """
@@ -150,7 +150,7 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
         fine: the grid of the inner problem.
         beyond: its value less h0 + w, shape (nodes of ``fine``,); overwritten.
     """
-    intervals, points = steps.factor.shape
+    intervals, points = steps.point_nodes.shape[:2]
     size, cell, cells = grid.size, grid.cell, grid.size**2
     slices, here = np.empty((points, cells), np.float32), np.empty(cells, np.float32)
     penalty, middle = np.empty(cells, np.float32), np.empty(size, np.float32)
@@ -162,7 +162,7 @@ def relax(value: Any, grid: Any, chain: Any, steps: Any, stride: int, fine: Any,
             blend(value, steps.point_nodes[n, q], steps.point_weights[n, q], slices[q])
         for option in range(len(options)):
             a = option * stride
-            penalty_table(slices, steps.factor[n], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
+            penalty_table(slices, steps.factor[n, a], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
             dy, dx = steps.noise[n, a, 0], steps.noise[n, a, 1]
             for i in range(fine.size):
                 y = (i - fine_centre) * fine.cell[0]
@@ -194,7 +194,7 @@ def along(value: Any, grid: Any, chain: Any, steps: Any, car: Any, chosen: Any) 
         car: the car's states at the ends of the intervals, shape (intervals + 1, 2).
         chosen: which damping was set in each interval, shape (intervals,).
     """
-    intervals, points = steps.factor.shape
+    intervals, points = steps.point_nodes.shape[:2]
     size, cell, cells = grid.size, grid.cell, grid.size**2
     slices, here = np.empty((points, cells), np.float32), np.empty(cells, np.float32)
     penalty, middle = np.empty(cells, np.float32), np.empty(size, np.float32)
@@ -204,7 +204,7 @@ def along(value: Any, grid: Any, chain: Any, steps: Any, car: Any, chosen: Any) 
         a = chosen[n]
         for q in range(points):
             blend(value, steps.point_nodes[n, q], steps.point_weights[n, q], slices[q])
-        penalty_table(slices, steps.factor[n], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
+        penalty_table(slices, steps.factor[n, a], steps.offset[n], chain.gains[a], steps.rest[n, a], grid, middle, penalty)
         cost, mean_y, mean_x = stage(chain, steps, n, a, car[n, 0], car[n, 1])
         total += cost - interpolate(penalty, size, mean_y / cell[0] + centre, mean_x / cell[1] + centre)
     for n, sign in ((0, -1.0), (intervals, 1.0)):

@@ -12,14 +12,12 @@ from roadgym.plant import Plant
 from roadgym.task import Task
 
 from ...checks import FloatArray
-from ...feedback.grid import STATE, SingleArray, radius_of, road_stencils, variable_of
+from ...feedback.grid import SingleArray, radius_of, road_stencils, variable_of
 from ...feedback.model import Model
 from ...feedback.policy import OptimalFeedback
+from .expansion import EXPANSIONS
 from .inner import Chain, IndexArray, Steps
-from .moments import NoisePolynomials, RoadMoments
 
-# even degrees of the polynomials in the noise of the slope, and in what of the level's does not follow from it
-DEGREES = (10, 4)
 FINER = 3  # substeps for each of the task's: the polynomials ask for more of the road's moments than a cost does
 
 
@@ -40,9 +38,10 @@ class Drives:
     """Roads, and what cars did on them.
 
     Attributes:
-        road: (Z, U) at the ends of the intervals, shape (intervals + 1, paths, 2).
-        added: what each interval adds to (Y, X) at each damping, shape (intervals, paths, dampings, 2).
-        car: (Y, X) of the car under the feedback at the ends of the intervals, shape (intervals + 1, paths, 2).
+        road: its states at the ends of the intervals, shape (intervals + 1, paths, states).
+        added: what each interval adds to the car's states, as of `Model`, at each damping, shape (intervals, paths, dampings,
+            2).
+        car: those of the car under the feedback at the ends of the intervals, shape (intervals + 1, paths, 2).
         chosen: which damping was nearest to the feedback's, and set, shape (intervals, paths).
     """
 
@@ -57,6 +56,7 @@ class Drives:
         task: Task,
         dampings: FloatArray,
         maps: FloatArray,
+        follows: FloatArray,
         feedback: OptimalFeedback,
         *,
         paths: int,
@@ -67,8 +67,9 @@ class Drives:
         """Drive cars of constant damping, and one under the feedback, over each of the roads.
 
         Args:
-            task: the plant; signals `STATE` are observed.
-            dampings, maps: constant dampings, and what an interval makes of (Y, X) at each.
+            task: the plant; its states are observed.
+            dampings, maps: constant dampings, and what an interval makes of the car's states at each.
+            follows: how much of Z is taken from (Y, X) in these.
             feedback: at its operating point.
             paths, intervals, seeds, threads: how many roads, how long, and which.
         """
@@ -77,11 +78,12 @@ class Drives:
         actions = np.repeat(np.append(dampings, 0.0), paths).astype(np.float32)
         own = slice(len(dampings) * paths, None)
         settling = math.ceil(8 / (task.car.decay(task.damping_range[0]) * task.car.natural_frequency) / task.control_interval)
-        shape = (len(dampings) + 1, paths, len(STATE))
+        shape = (len(dampings) + 1, paths, len(task.signals))
         roads, added, cars, choices = [], [], [], []
         before = np.empty(shape)
         for step in range(settling + intervals + 1):
             after = states.astype(float).reshape(shape)
+            after[..., :2] -= follows * after[..., 2:3]
             if step > settling:
                 added.append(after[:-1, :, :2] - np.einsum("aij,apj->api", maps, before[:-1, :, :2]))
             if step >= settling:
@@ -113,37 +115,35 @@ class RoadChain:
         self._entry = steps[:, :2, 2:]
         squares = np.stack([self._forms[:, 0, 0], 2 * self._forms[:, 0, 1], self._forms[:, 1, 1]], axis=1)
         self.chain = Chain(np.ascontiguousarray(steps[:, :2, :2]), np.array([part.gain for part in parts]), squares)
-        road = task.road.shaping_filter()
-        assert road is not None
-        ratio = float(task.frequency_ratio(task.speed[0]))
-        interval = task.control_interval * task.car.natural_frequency
-        moments = RoadMoments(road, ratio, interval, sum(DEGREES))
-        self._polynomials = NoisePolynomials(moments, *DEGREES)
+        self._expansion = EXPANSIONS[self._entry.shape[2]](task, self.chain.gains)
 
     def steps(self, road: FloatArray, added: FloatArray) -> Steps:
-        """What one road does, from ``road``, shape (intervals + 1, 2), and ``added``, shape (intervals, dampings, 2)."""
+        """What one road does, from ``road``, shape (intervals + 1, states), and ``added``, shape (intervals, dampings, 2)."""
         before, after = road[:-1], road[1:]
-        mean, offset, factor = self._polynomials(before, after)
-        index, weight = self._stencils(road)
-        point_index, point_weight = self._stencils((mean[:, None] + offset).reshape(-1, 2))
         moved = np.einsum("aij,nj->nai", self._entry, before)
         noise = added - moved
+        mean, offset, factor, rest = self._expansion(before, after, noise)
+        index, weight = self._stencils(road)
+        states = road.shape[1]
+        point_index, point_weight = self._stencils((mean[:, None, :states] + offset[..., :states]).reshape(-1, states))
+        shape = *offset.shape[:2], 16
         return Steps(
             index,
             weight,
-            point_index.reshape(*factor.shape, 16),
-            point_weight.reshape(*factor.shape, 16),
+            point_index.reshape(shape),
+            point_weight.reshape(shape),
             factor,
             offset,
             moved,
             noise,
-            noise - np.einsum("aij,nj->nai", self.chain.gains, after - mean),
+            rest,
             2 * np.einsum("aij,nj->nai", self._forms[:, :2, 2:], before),
             np.einsum("ni,aij,nj->na", before, self._forms[:, 2:, 2:], before) + self._constants,
         )
 
     def _stencils(self, points: FloatArray) -> tuple[IndexArray, SingleArray]:
         index, weight = np.empty((len(points), 16), np.int64), np.empty((len(points), 16), np.float32)
-        spacing = self._radius / (self._rings - 0.5)
-        road_stencils(np.ascontiguousarray(points), spacing, self._rings, self._rays, index, weight)
+        plane = np.zeros((len(points), 2))
+        plane[:, : points.shape[1]] = points
+        road_stencils(plane, self._radius / (self._rings - 0.5), self._rings, self._rays, index, weight)
         return index, weight
