@@ -43,3 +43,9 @@ def test_matrices_move_by_the_learning_rate_whatever_the_gradient_s_size_and_fol
     matrix.grad = torch.zeros(8, 4)  # what is left is momentum, in the same direction
     optimiser.step()
     torch.testing.assert_close(matrix.detach() - first, first, rtol=1e-3, atol=1e-6)
+    other = torch.randn(8, 4, generator=torch.Generator().manual_seed(5)) * 1e-6
+    matrix.grad, before = other, matrix.detach().clone()
+    optimiser.step()
+    momentum = 0.95 * (0.95 * 0.05e-6 * gradient) + 0.05 * other  # and a look ahead, as Nesterov has it
+    expected = -0.05 * 2**0.5 * orthogonal(0.05 * other + 0.95 * momentum)
+    torch.testing.assert_close(matrix.detach() - before, expected, rtol=1e-3, atol=1e-6)
