@@ -73,8 +73,10 @@ def test_what_was_driven_is_driven_again(plant):
     moved = cars.moved(car, roads._forced[step], place)
     without = cars.moved(car, cars.forced(roads._ends[step : step + 1])[0], place)
     scale = roads._car.abs().mean(dim=(0, 1))
-    assert ((moved - roads._car[step + 1]).abs().amax(0) < 1e-4 * scale).all()
-    assert ((moved - without).abs().mean(0) < 0.1 * scale).all()  # of the road between the ends little is left out
+    assert ((moved - roads._car[step + 1]).abs().amax(0) < 1e-5 * scale).all()
+    left = (moved - without).abs().mean(0)  # of the road between the ends little is left out
+    assert left.mean() < 0.05 * scale.mean()
+    assert (left < 0.1 * scale).all()
     roads._look(roads._noted[step, :, -3:-1])
     held = place if roads._valve is None else roads._valve.begin(step + 1, rows)[:, 0]
     seen = roads._sees(cars, roads._car[step + 1], held, step + 1, rows, None)
@@ -112,8 +114,8 @@ def test_gradients_are_those_of_finite_differences(plant):
     check_gradient(roads, model.policy.network)
 
 
-@pytest.mark.parametrize("plant", ["bounded", "cars that differ"])
-def test_what_another_damping_does_to_the_car_is_what_the_environment_does(plant):
+@pytest.mark.parametrize(("plant", "most"), [("bounded", 0.03), ("cars that differ", 0.08)])
+def test_what_another_damping_does_to_the_car_is_what_the_environment_does(plant, most):
     """The same roads twice, with another damping in one interval: the change of the states after it is the model's."""
     environment = PLANTS[plant]
     ends = []
@@ -133,7 +135,9 @@ def test_what_another_damping_does_to_the_car_is_what_the_environment_does(plant
     first, second = ends
     changed = second._car[41] - first._car[41]
     moved = [first._cars[40].moved(first._car[40], first._forced[40], torch.full((64,), place)) for place in (-0.2, 0.2)]
-    assert ((moved[1] - moved[0] - changed).abs().amax(0) < 0.08 * changed.abs().amax(0)).all()
+    apart, size = (moved[1] - moved[0] - changed).abs().amax(0), changed.abs().amax(0)
+    assert apart.max() < most * size.max()
+    assert (apart < 0.08 * size).all()
 
 
 @pytest.mark.parametrize(

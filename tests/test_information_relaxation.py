@@ -210,7 +210,8 @@ def test_it_lies_just_below_the_best_feedback(small, road):
     assert found.driven == pytest.approx(feedback_of(road, RANGE, RATIO).cost, rel=0.05)
     assert found.cost < found.driven + 3 * found.standard_error
     assert found.cost > 0.8 * found.driven
-    assert np.all(found.gaps < 0.1 * found.driven)  # one that is told the road does better on each, but for a coarse grid
+    coarse = 0.1 if road == "first_order" else 0.05  # one that is told the road does better on each, but for a coarse grid
+    assert np.all(found.gaps < coarse * found.driven)
     assert found.charge >= 0
     assert found.standard_error < 0.1 * found.driven
 
