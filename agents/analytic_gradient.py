@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from roadgym.installation import needs
@@ -30,6 +31,7 @@ with needs("train"):
     from stable_baselines3.common.policies import BasePolicy
     from stable_baselines3.common.torch_layers import create_mlp
     from stable_baselines3.common.type_aliases import Schedule
+    from stable_baselines3.common.utils import update_learning_rate
     from stable_baselines3.common.vec_env import VecEnv
 
 
@@ -93,6 +95,8 @@ class APG(OnPolicyAlgorithm):
         horizon: intervals of a stretch through which is differentiated at the end of the training, at most ``n_steps``.
         first_share: share of the ``horizon`` with which the training begins; from there stretches grow by equal factors. Short
             ones teach by and large what is to be done, and long ones rely less on the value of what comes after.
+        lookahead_steps: steps of the optimiser before all others, after the first visit, with a rate that falls to zero: they
+            look one interval ahead, so that the policy begins where a lookahead without learning ends.
         gradient_steps: stretches of ``horizon`` after each visit, one for each step of the optimiser; of shorter ones as many
             more, so that all visits are differentiated through as many intervals. Each is of all cars.
         noise: standard deviation of normal noise on what the policy answers, before it is squashed, in training: so it learns
@@ -117,6 +121,7 @@ class APG(OnPolicyAlgorithm):
         n_steps: int = 64,
         horizon: int = 32,
         first_share: float = 1.0,
+        lookahead_steps: int = 0,
         gradient_steps: int = 8,
         noise: float = 0.1,
         state_known: float = 0.5,
@@ -131,6 +136,7 @@ class APG(OnPolicyAlgorithm):
     ) -> None:
         self.horizon = whole("horizon", horizon)
         self.first_share = within("first_share", first_share, "mixing")
+        self.lookahead_steps = whole("lookahead_steps", lookahead_steps, low=0)
         self.gradient_steps = whole("gradient_steps", gradient_steps)
         self.noise = non_negative("noise", noise)
         self.state_known = within("state_known", state_known, "mixing")
@@ -213,15 +219,31 @@ class APG(OnPolicyAlgorithm):
         done = 1 - self._current_progress_remaining
         first = max(1.0, self.first_share * self.horizon)
         starts, length = roads.windows(round(first * (self.horizon / first) ** done))
-        known = done <= self.state_known
-        costs, norms = [], []
+        if self._n_updates == 0:
+            self._look_ahead(roads)
+        known, found = done <= self.state_known, []
         for _ in range(round(self.gradient_steps * self.horizon / length)):
-            start = int(starts[int(torch.randint(len(starts), ()))])
-            cost = roads.cost(self.policy.network, start, length, self.noise, known)
-            self.policy.optimizer.zero_grad()
-            cost.backward()
-            norms.append(float(torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)))
-            self.policy.optimizer.step()
-            costs.append(float(cost.detach()))
-        self.logger.record("train/cost", np.mean(costs))  # in shares of that of the best constant damping
-        self.logger.record("train/gradient_norm", np.mean(norms))
+            found.append(self._descend(roads, starts, length, known))
+        cost, norm = np.mean(found, axis=0)
+        self.logger.record("train/cost", cost)  # in shares of that of the best constant damping
+        self.logger.record("train/gradient_norm", norm)
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+    def _look_ahead(self, roads: Any) -> None:
+        """Learn the damping that is best for one interval: the least of its cost and of the value of what comes after."""
+        starts, length = roads.windows(1)
+        for step in range(self.lookahead_steps):
+            update_learning_rate(self.policy.optimizer, self.lr_schedule(1) * (1 - step / self.lookahead_steps))
+            self._descend(roads, starts, length, known=True)
+        self._update_learning_rate(self.policy.optimizer)
+
+    def _descend(self, roads: Any, starts: npt.NDArray[np.intp], length: int, known: bool) -> tuple[float, float]:
+        """One step down the gradient of the cost of some stretches; that cost, and the norm of the gradient."""
+        start = int(starts[int(torch.randint(len(starts), ()))])
+        cost = roads.cost(self.policy.network, start, length, self.noise, known)
+        self.policy.optimizer.zero_grad()
+        cost.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+        self.policy.optimizer.step()
+        self._n_updates += 1
+        return float(cost.detach()), float(norm)

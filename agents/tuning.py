@@ -63,9 +63,10 @@ SEARCH_SPACES: dict[str, dict[str, Any]] = {
     "apg": {
         "learning_rate": (1e-3, 1e-2),
         "net_arch": _COMMON["net_arch"],
-        "horizon": [32, 48, 64, 96],
-        "first_share": [0.25, 0.5, 1.0],
-        "gradient_steps": [4, 6, 8],
+        "horizon": [48, 96, 144],
+        "first_share": [0.111, 0.333, 1.0],
+        "lookahead_steps": [0, 500, 1000, 2000],
+        "gradient_steps": [3, 4, 6],
         "noise": (0.03, 0.3),
     },
     "ppo": _PROXIMAL,

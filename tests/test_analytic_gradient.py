@@ -18,9 +18,18 @@ from agents.vec_env import QuarterCarVecEnv
 from agents.wrappers import learning
 from roadgym import ParameterError
 from roadgym.task import make_task
+from roadgym.vector import QuarterCarVectorEnv
 
 RANGES = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.4)}
-SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "first_share": 1.0, "gradient_steps": 4, "features": ["products"]}
+SMALL = {
+    "n_envs": 32,
+    "n_steps": 16,
+    "horizon": 8,
+    "first_share": 1.0,
+    "gradient_steps": 4,
+    "lookahead_steps": 0,
+    "features": ["products"],
+}
 PLANTS = {
     "bounded": {"road": "multiplicative", **RANGES},
     "comfort": {"road": "gaussian", "reward": {"acceleration": 1.0, "travel": 0.5}, **RANGES},
@@ -274,9 +283,36 @@ def test_stretches_grow_and_become_fewer(monkeypatch):
     assert lengths == [3] * 5 + [4] * 4 + [6] * 3 + [8] * 2  # 16 intervals a visit, or nearly
 
 
+def test_the_first_visit_teaches_the_lookahead_and_no_other(monkeypatch):
+    """Before any stretch of many intervals the policy drives like the mixed lookahead; later visits leave that out."""
+    lengths, cost = [], DrivenRoads.cost
+    monkeypatch.setattr(DrivenRoads, "cost", lambda roads, *given: lengths.append(given[2]) or cost(roads, *given))
+    chosen = parameters(
+        n_envs=128, lookahead_steps=300, gradient_steps=1, features=["products", "lookahead"], learning_rate=3e-3
+    )
+    model = make_model("apg", chosen, PLANTS["bounded"], 3, None)
+    model.learn(2 * 2048)
+    assert lengths == [1] * 300 + [8] * 2
+    assert model.policy.optimizer.param_groups[0]["lr"] == 3e-3
+
+    model = make_model("apg", chosen, PLANTS["bounded"], 3, None)
+    monkeypatch.setattr(model, "train", lambda: model._look_ahead(model.rollout_buffer))
+    model.learn(2048)
+    envs, task = QuarterCarVectorEnv(256, **PLANTS["bounded"]), make_task(**PLANTS["bounded"])
+    envs.reset(seed=1)
+    low, high = task.damping_range
+    for _ in range(60):
+        observed = envs.step(np.full((256, 1), low, np.float32))[0]
+    rule = make_controller("mixed_lookahead", task).predict(observed)[0]
+    place = model.predict(Sight(task, chosen["features"])(observed, None), deterministic=True)[0]
+    apart = np.abs(rule - (low + (high - low) * (place + 1) / 2)) / (high - low)
+    assert apart.mean() < 0.2  # of an untrained policy, at the middle of the range, .5
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"lookahead_steps": -1}, "lookahead_steps must be at least 0"),
         ({"horizon": 17}, "horizon must be at most n_steps, 16, got 17"),
         ({"first_share": 1.5}, "first_share must lie within"),
         ({"gradient_steps": 0}, "gradient_steps must be at least 1"),

@@ -30,9 +30,15 @@ PLANTS = {
     },
     "third order": {"road": "two_corner", "speed": 1.0, "observation": ["velocity"], "sensors": {"noise": 0.01}},
 }
-SMALL = {"n_envs": 32, "n_steps": 16, "horizon": 8, "first_share": 1.0, "gradient_steps": 4, "features": ["products"]} | {
-    "estimator": "kalman"
-}
+SMALL = {
+    "n_envs": 32,
+    "n_steps": 16,
+    "horizon": 8,
+    "first_share": 1.0,
+    "gradient_steps": 4,
+    "lookahead_steps": 0,
+    "features": ["products"],
+} | {"estimator": "kalman"}
 
 
 def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman"):
