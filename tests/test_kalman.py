@@ -218,6 +218,8 @@ def test_where_the_car_is_known_each_has_the_filter_of_it():
         layer = VectorKalmanObservation(batch(4, road="gaussian", **point, **own, max_episode_steps=5))
         layer.car_known = True
         shown.append([layer.reset(seed=3)[0], *(layer.step(np.full((4, 1), 0.1 * k, np.float32))[0] for k in range(1, 10))])
+        some = {"reset_mask": np.array([False, True, False, True])}
+        shown[-1] += [layer.reset(options=some)[0], layer.step(np.full((4, 1), 0.3, np.float32))[0]]
     np.testing.assert_allclose(*shown, atol=1e-5)
     vary = {"natural_frequency": (0.6, 1.4), "valve.delay": (0.0, 0.5), "valve.rise_time": (0.1, 0.3)}
     envs = batch(4, road="gaussian", **point, vary=vary, max_episode_steps=5)
