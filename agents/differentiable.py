@@ -33,6 +33,9 @@ with needs("train"):
 CHOICES = 9  # constant dampings of which one is nearly the best
 ACTIVE = 0.5  # share of the value of an active force in that of the end of a stretch
 LIKENESS = 0.1  # bandwidth of the road whose value stands in for that of a road that theory has none for
+# answers beyond the first are an end of the range to a thousandth; there the gradient fades, and steps of a fixed size would
+# run away with a policy that is all at one end. So each costs this much, in shares of the cost, for what it is beyond.
+FARTHEST, BEYOND = 4.0, 1e-4
 
 
 class DrivenRoads:
@@ -136,7 +139,8 @@ class DrivenRoads:
     def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float, state_known: bool = False) -> Tensor:
         """What a policy costs from ``start`` on: over ``length`` intervals, and for ever after by `values`.
 
-        It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time.
+        It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time, and
+        a little for answers that are far beyond the ends of the range.
 
         Args:
             policy: takes what is seen, shape (n, size), to numbers, shape (n, 1), whose hyperbolic tangent is the place of D in
@@ -157,9 +161,10 @@ class DrivenRoads:
         follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
         valve = None if self._valve is None else self._valve.begin(start, rows)
         place = held = torch.zeros(len(car))
-        noises, states, places = noise * torch.randn(length, len(car)), [], []
+        noises, answers, states, places = noise * torch.randn(length, len(car)), [], [], []
         for n, step in enumerate(range(start, start + length)):
             answer = policy(seen if step == start else self._sees(cars, car, held, step, rows, follow))[:, 0]
+            answers.append(answer)
             place = held = torch.tanh(answer + noises[n])
             if self._valve is not None and valve is not None:
                 place, valve = self._valve(valve, place)
@@ -172,7 +177,8 @@ class DrivenRoads:
         value = self._value[rows]
         state = torch.cat([car, self._road[start + length, rows]], 1)[:, : value.shape[1]]
         after = (state * (value @ state[:, :, None])[:, :, 0]).sum(1)
-        return ((total * self._duration + after) / self._reference[rows]).mean() / (length * self._duration)
+        mean = ((total * self._duration + after) / self._reference[rows]).mean() / (length * self._duration)
+        return mean + BEYOND * (torch.stack(answers).abs() - FARTHEST).relu().mean()
 
     def _sees(
         self, cars: Cars, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None

@@ -275,6 +275,19 @@ def test_episodes_that_end_within_what_is_driven_are_not_differentiated_through(
             assert not ended[start : start + length].any()
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_policy_that_is_all_at_one_end_of_the_range_comes_back(side):
+    model, roads = driven("bounded", noise=0.0)
+    with torch.no_grad():
+        model.policy.network[-1].bias.fill_(30 * side)  # whose hyperbolic tangent is the end itself in single precision
+    model.policy.optimizer.param_groups[0]["lr"] = 3e-3
+    starts, length = roads.windows(4)
+    for _ in range(300):
+        model._descend(roads, starts, length, True)
+    places = model.predict(roads._seen[8], deterministic=True)[0]
+    assert np.ptp(places) > 0.5
+
+
 def test_stretches_grow_and_become_fewer(monkeypatch):
     lengths, cost = [], DrivenRoads.cost
     monkeypatch.setattr(DrivenRoads, "cost", lambda roads, *given: lengths.append(given[2]) or cost(roads, *given))
