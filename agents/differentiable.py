@@ -139,8 +139,8 @@ class DrivenRoads:
     def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float, state_known: bool = False) -> Tensor:
         """What a policy costs from ``start`` on: over ``length`` intervals, and for ever after by `values`.
 
-        It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time, and
-        a little for answers that are far beyond the ends of the range.
+        It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time.
+        Answers far beyond the ends of the range cost a little more.
 
         Args:
             policy: takes what is seen, shape (n, size), to numbers, shape (n, 1), whose hyperbolic tangent is the place of D in
