@@ -47,7 +47,11 @@ class DampingPolicy(BasePolicy):
         activation_fn: between them.
         noise: standard deviation of what is added to the answer where the policy is not deterministic.
         optimizer_class: what trains it; gradients of many cars have little noise, which suits `agents.muon.Muon`.
-        options: of stable-baselines3's policies, such as ``optimizer_kwargs``.
+        options: of stable-baselines3's policies, such as ``optimizer_kwargs``; its extractors of features are not among them,
+            which the gradient would not go through: see `agents.features`.
+
+    Raises:
+        ParameterError: an extractor of features.
     """
 
     def __init__(
@@ -61,6 +65,8 @@ class DampingPolicy(BasePolicy):
         optimizer_class: type[torch.optim.Optimizer] = Muon,
         **options: Any,
     ) -> None:
+        if "features_extractor_class" in options:
+            raise ParameterError("features_extractor_class must be left out for a gradient through the plant: choose features")
         super().__init__(observation_space, action_space, squash_output=True, optimizer_class=optimizer_class, **options)
         self.net_arch, self.activation_fn, self.noise = list(net_arch), activation_fn, noise
         self.features_extractor = self.make_features_extractor()
@@ -91,12 +97,13 @@ class APG(OnPolicyAlgorithm):
         policy: "MlpPolicy", a `DampingPolicy`.
         env: the environment.
         learning_rate: of the policy's optimiser, or its schedule.
-        n_steps: control intervals of every car between two visits to the plant.
+        n_steps: control intervals of every car in a visit to the plant.
         horizon: intervals of a stretch through which is differentiated at the end of the training, at most ``n_steps``.
-        first_share: share of the ``horizon`` with which the training begins; from there stretches grow by equal factors. Short
+        first_share: share of the ``horizon`` from which stretches grow by equal factors, visit by visit. Short
             ones teach by and large what is to be done, and long ones rely less on the value of what comes after.
         lookahead_steps: steps of the optimiser before all others, after the first visit, with a rate that falls to zero: they
-            look one interval ahead, so that the policy begins where a lookahead without learning ends.
+            look one interval ahead, behind a late valve as many more as a command waits, so that the policy begins where a
+            lookahead without learning ends.
         gradient_steps: stretches of ``horizon`` after each visit, one for each step of the optimiser; of shorter ones as many
             more, so that all visits are differentiated through as many intervals. Each is of all cars.
         noise: standard deviation of normal noise on what the policy answers, before it is squashed, in training: so it learns
@@ -104,13 +111,15 @@ class APG(OnPolicyAlgorithm):
         state_known: share of the training, its beginning, in which the policy sees the state itself along its stretches where
             it drives by what an estimator makes of sensors: so much is learned sooner, and certainty equivalence by and large.
         max_grad_norm: at most the norm of a gradient.
-        policy_kwargs, stats_window_size, tensorboard_log, verbose, seed, device: as of stable-baselines3's algorithms.
+        policy_kwargs, stats_window_size, tensorboard_log, verbose, seed: as of stable-baselines3's algorithms.
+        device: "cpu", where the plant is, or "auto", which is the same.
 
     Raises:
         ParameterError: one of these out of range, or an environment that cannot be differentiated.
     """
 
     learns_from: ClassVar[str] = "gradient"  # as agent.json tells
+    lookahead_steps: int = 0  # of trainings that began before there were any
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": DampingPolicy}
 
     def __init__(
@@ -140,6 +149,8 @@ class APG(OnPolicyAlgorithm):
         self.gradient_steps = whole("gradient_steps", gradient_steps)
         self.noise = non_negative("noise", noise)
         self.state_known = within("state_known", state_known, "mixing")
+        if str(device) not in ("auto", "cpu"):
+            raise ParameterError(f"device must be cpu for a gradient through the plant, got {shown(device)}")
         if whole("n_steps", n_steps) < horizon:
             raise ParameterError(f"horizon must be at most n_steps, {n_steps}, got {shown(horizon)}")
         super().__init__(
@@ -159,7 +170,7 @@ class APG(OnPolicyAlgorithm):
             policy_kwargs={"noise": noise} | (policy_kwargs or {}),
             verbose=verbose,
             seed=seed,
-            device=device,
+            device="cpu",
             supported_action_spaces=(spaces.Box,),
             _init_setup_model=_init_setup_model,
         )
@@ -186,6 +197,12 @@ class APG(OnPolicyAlgorithm):
         assert self.env is not None
         self.rollout_buffer = self._recorder(self.env)  # type: ignore[assignment]
 
+    def _setup_learn(self, total_timesteps: int, callback: Any = None, reset_num_timesteps: bool = True, *given: Any) -> Any:
+        """Begin a training, with new episodes where stable-baselines3 begins those."""
+        if reset_num_timesteps and self.env is not None:
+            self.rollout_buffer = self._recorder(self.env)  # type: ignore[assignment]
+        return super()._setup_learn(total_timesteps, callback, reset_num_timesteps, *given)
+
     def collect_rollouts(self, env: VecEnv, callback: BaseCallback, rollout_buffer: Any, n_rollout_steps: int) -> bool:
         """Drive with the policy and record the roads; false where a callback ends the training."""
         self.policy.set_training_mode(False)
@@ -199,11 +216,11 @@ class APG(OnPolicyAlgorithm):
             new_obs: Any
             new_obs, rewards, dones, infos = env.step(actions)
             self.num_timesteps += env.num_envs
+            rollout_buffer.answer(step, seen, actions, dones)
             callback.update_locals(locals())
             if not callback.on_step():
                 return False
             self._update_info_buffer(infos, dones)
-            rollout_buffer.answer(step, seen, actions, dones)
             self._last_obs, self._last_episode_starts = new_obs, dones
         rollout_buffer.note(n_rollout_steps, *batch.road_and_car())
         rollout_buffer.finish()
@@ -214,31 +231,34 @@ class APG(OnPolicyAlgorithm):
     def train(self) -> None:
         """Some steps down the gradient of the cost over what was driven last."""
         self.policy.set_training_mode(True)
+        self._current_progress_remaining = max(0.0, self._current_progress_remaining)  # a visit may end beyond the training
         self._update_learning_rate(self.policy.optimizer)
         roads: Any = self.rollout_buffer
         done = 1 - self._current_progress_remaining
         first = max(1.0, self.first_share * self.horizon)
         starts, length = roads.windows(round(first * (self.horizon / first) ** done))
-        if self._n_updates == 0:
+        if self.lookahead_steps and self._n_updates == 0:
             self._look_ahead(roads)
         known, found = done <= self.state_known, []
         for _ in range(round(self.gradient_steps * self.horizon / length)):
             found.append(self._descend(roads, starts, length, known))
         cost, norm = np.mean(found, axis=0)
-        self.logger.record("train/cost", cost)  # in shares of that of the best constant damping
+        self.logger.record(
+            "train/cost", cost
+        )  # as of `DrivenRoads.cost`: with the value of the end, so each length has its own
         self.logger.record("train/gradient_norm", norm)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
     def _look_ahead(self, roads: Any) -> None:
-        """Learn the damping that is best for one interval: the least of its cost and of the value of what comes after."""
-        starts, length = roads.windows(1)
+        """Learn the damping that is best for one interval, or the next that a command reaches, where a value follows it."""
+        starts, length = roads.windows(1 + roads.late)
         for step in range(self.lookahead_steps):
             update_learning_rate(self.policy.optimizer, self.lr_schedule(1) * (1 - step / self.lookahead_steps))
             self._descend(roads, starts, length, known=True)
         self._update_learning_rate(self.policy.optimizer)
 
     def _descend(self, roads: Any, starts: npt.NDArray[np.intp], length: int, known: bool) -> tuple[float, float]:
-        """One step down the gradient of the cost of some stretches; that cost, and the norm of the gradient."""
+        """One step down the gradient of the cost of one stretch of all cars; that cost, and the norm of the gradient."""
         start = int(starts[int(torch.randint(len(starts), ()))])
         cost = roads.cost(self.policy.network, start, length, self.noise, known)
         self.policy.optimizer.zero_grad()

@@ -9,6 +9,7 @@ the path of the road between the ends of intervals, is what it was in the record
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +34,8 @@ with needs("train"):
 CHOICES = 9  # constant dampings of which one is nearly the best
 ACTIVE = 0.5  # share of the value of an active force in that of the end of a stretch
 LIKENESS = 0.1  # bandwidth of the road whose value stands in for that of a road that theory has none for
-# answers beyond the first are an end of the range to a thousandth; there the gradient fades, and steps of a fixed size would
-# run away with a policy that is all at one end. So each costs this much, in shares of the cost, for what it is beyond.
+# Answers beyond FARTHEST, before the hyperbolic tangent, are an end of the range to a thousandth. There the gradient fades, and
+# steps of a fixed size would run away with a policy that is all at one end, so each costs BEYOND for what it is farther out.
 FARTHEST, BEYOND = 4.0, 1e-4
 
 
@@ -47,6 +48,9 @@ class DrivenRoads:
         num_envs: cars of the batch.
         steps: control intervals that are recorded.
         estimator: the layer of the batch that makes of its observations what ``sight`` is of; None where there is none.
+
+    Attributes:
+        late: whole intervals that a command may wait.
 
     Raises:
         ParameterError: a stack of observations, a valve of limited rate, sensors that are not ideal without an estimator, or,
@@ -68,14 +72,15 @@ class DrivenRoads:
         self._cars: list[Cars] = []  # before each step
         self._filter = None if estimator is None else DrivenFilter(estimator, num_envs, steps)
         self._valve = None if task.ideal_valve else DrivenValve(task, num_envs, steps)
+        self.late = 0 if self._valve is None else self._valve.late
         self._names = full.signals
         self._features = sight.features
         self._combined = None if sight.features is None else Seen(sight.features, len(self._names))
         self._noted = np.empty((steps + 1, num_envs, self._states + 5))
         self._seen = np.empty((steps, num_envs, *sight.space.shape), np.float32)
         self._places = np.empty((steps, num_envs), np.float32)
-        self._ended = np.zeros((steps, num_envs), np.bool_)
-        self._points = np.empty((0, 2))
+        self._ended = np.zeros(steps, np.bool_)
+        self._looks: dict[bytes, Look] = {}  # by operating points; those of the last visit's last episode are kept
 
     def note(
         self, step: int, state: npt.NDArray[np.float64], rate: npt.NDArray[np.float64], drawn: npt.NDArray[np.float64]
@@ -100,13 +105,15 @@ class DrivenRoads:
     def answer(
         self, step: int, seen: npt.NDArray[np.float32], action: npt.NDArray[np.float32], ended: npt.NDArray[np.bool_]
     ) -> None:
-        """Record what was seen before a step, what was answered, shape (num_envs, 1), and whose episode ended with it."""
+        """Record what was seen before a step, what was answered, shape (num_envs, 1), and whose episodes ended with it."""
         commands = torch.from_numpy(action[:, 0])
         place = commands if self._valve is None else self._valve.note(step, commands, ended)
-        self._seen[step], self._places[step], self._ended[step] = seen, place, ended
+        self._seen[step], self._places[step], self._ended[step] = seen, place, ended.any()
 
     def finish(self) -> None:
         """Work out what the road did, after the last note."""
+        begun_at = self._points(0).tobytes()
+        self._looks = {points: look for points, look in self._looks.items() if points == begun_at}
         noted = single(self._noted)
         self._car, self._road = noted[..., : self._states], noted[..., self._states : self._states + 2]
         self._path = torch.stack([self._road[..., 0], self._road[..., 1] * noted[..., -1]], -1)  # the level and its rate
@@ -128,19 +135,19 @@ class DrivenRoads:
         return forced, given, told, cars.measuring(self._car[after], place, told)
 
     def windows(self, longest: int) -> tuple[npt.NDArray[np.intp], int]:
-        """(first steps, length) of stretches within an episode of some car, for `cost`; as long as ``longest`` if possible."""
-        left, reach = np.zeros(self._ended.shape[1], np.intp), np.empty(self._steps, np.intp)
+        """(first steps, length) of stretches in which no episode ends, for `cost`; as long as ``longest`` if possible."""
+        left, reach = 0, np.empty(self._steps, np.intp)
         for step in range(self._steps - 1, -1, -1):
-            left = np.where(self._ended[step], 0, left + 1)
-            reach[step] = left.max()
+            left = 0 if self._ended[step] else left + 1
+            reach[step] = left
         length = max(1, min(longest, int(reach.max())))
         return np.flatnonzero(reach >= length), length
 
     def cost(self, policy: torch.nn.Module, start: int, length: int, noise: float, state_known: bool = False) -> Tensor:
         """What a policy costs from ``start`` on: over ``length`` intervals, and for ever after by `values`.
 
-        It is the mean over all cars whose episode lasts as long, in shares of the best constant damping's cost, and per time.
-        Answers far beyond the ends of the range cost a little more.
+        It is the mean over all cars, in shares of the best constant damping's cost, and per time. Answers far beyond the ends
+        of the range cost a little more.
 
         Args:
             policy: takes what is seen, shape (n, size), to numbers, shape (n, 1), whose hyperbolic tangent is the place of D in
@@ -150,20 +157,13 @@ class DrivenRoads:
             noise: standard deviation of normal noise on the policy's answers.
             state_known: where there is an estimator, does the policy see the state itself, from the second interval on?
         """
-        ended = self._ended[start : start + length].any(axis=0)
-        self._look(self._noted[start, :, self._states + 2 : self._states + 4])
-        cars = self._cars[start]
-        rows: Tensor | slice = slice(None)
-        if ended.any():  # to pick all takes time
-            rows = torch.from_numpy(np.flatnonzero(~ended))
-            cars = cars.picked(rows)
-        car, seen = self._car[start, rows], torch.from_numpy(self._seen[start])[rows]
-        follow = None if self._filter is None or state_known else self._filter.begin(start, rows)
-        valve = None if self._valve is None else self._valve.begin(start, rows)
-        place = held = torch.zeros(len(car))
+        look, cars, car, seen = self._look(start), self._cars[start], self._car[start], torch.from_numpy(self._seen[start])
+        follow = None if self._filter is None or state_known else self._filter.begin(start)
+        valve = None if self._valve is None else self._valve.begin(start)
+        held = torch.zeros(len(car))
         noises, answers, states, places = noise * torch.randn(length, len(car)), [], [], []
         for n, step in enumerate(range(start, start + length)):
-            answer = policy(seen if step == start else self._sees(cars, car, held, step, rows, follow))[:, 0]
+            answer = policy(seen if step == start else self._sees(look, car, held, step, follow))[:, 0]
             answers.append(answer)
             place = held = torch.tanh(answer + noises[n])
             if self._valve is not None and valve is not None:
@@ -171,32 +171,35 @@ class DrivenRoads:
                 held = valve[:, 0]
             states.append(car)
             places.append(place)
-            car = cars.moved(car, self._forced[step, rows], place)
+            car = cars.moved(car, self._forced[step], place)
         # of all intervals at once
-        total = cars.cost(torch.stack(states), self._ends[start : start + length, rows], torch.stack(places)).sum(0)
-        value = self._value[rows]
-        state = torch.cat([car, self._road[start + length, rows]], 1)[:, : value.shape[1]]
-        after = (state * (value @ state[:, :, None])[:, :, 0]).sum(1)
-        mean = ((total * self._duration + after) / self._reference[rows]).mean() / (length * self._duration)
+        total = cars.cost(torch.stack(states), self._ends[start : start + length], torch.stack(places)).sum(0)
+        state = torch.cat([car, self._road[start + length]], 1)[:, : look.value.shape[1]]
+        after = (state * (look.value @ state[:, :, None])[:, :, 0]).sum(1)
+        mean = ((total * self._duration + after) / look.reference).mean() / (length * self._duration)
         return mean + BEYOND * (torch.stack(answers).abs() - FARTHEST).relu().mean()
 
-    def _sees(
-        self, cars: Cars, car: Tensor, place: Tensor, step: int, rows: Tensor | slice, follow: Following | None
-    ) -> Tensor:
+    def _sees(self, look: Look, car: Tensor, place: Tensor, step: int, follow: Following | None) -> Tensor:
         """What the policy sees before a step, after an interval with a damping in ``place`` at its end."""
+        cars = self._cars[step]
         if self._filter is None or follow is None:
-            told = cars.sensing(car, place, self._given[step - 1, rows])
+            told = cars.sensing(car, place, self._given[step - 1])
         else:
-            told = follow(step, place, cars.measuring(car, place, self._told[step - 1, rows])[:, self._filter.columns])
-        observed = told + self._shares[rows]
-        return observed if self._combined is None else self._combined(observed, self._forms[rows])
+            told = follow(step, place, cars.measuring(car, place, self._told[step - 1])[:, self._filter.columns])
+        observed = told + look.shares
+        return observed if self._combined is None else self._combined(observed, look.forms)
 
-    def _look(self, points: npt.NDArray[np.float64]) -> None:
-        """Prepare for operating points (nu, delta) of all cars, shape (n, 2)."""
-        if np.array_equal(points, self._points):  # within an episode they stay
-            return
-        self._points, names = points.copy(), self._names
-        self._value, self._reference = (single(part) for part in values(self._task, points))
+    def _points(self, step: int) -> npt.NDArray[np.float64]:
+        """Operating points (nu, delta) of all cars in a step, shape (n, 2)."""
+        return self._noted[step, :, self._states + 2 : self._states + 4]
+
+    def _look(self, step: int) -> Look:
+        """What the operating points in a step say, worked out once an episode."""
+        points, names = self._points(step), self._names
+        key = points.tobytes()
+        if key in self._looks:
+            return self._looks[key]
+        value, reference = (single(part) for part in values(self._task, points))
         shares = points * [1, 2] / (1 + points * [1, 2])
         observed = np.zeros((len(points), len(names)), np.float32)
         for name, share in zip(OPERATING_POINT, shares.T, strict=True):
@@ -204,9 +207,24 @@ class DrivenRoads:
                 observed[:, names.index(name)] = share
         lookahead = None if self._features is None else self._features.lookahead
         forms = np.empty((len(points), 0)) if lookahead is None else lookahead.forms(observed[:, lookahead.point])
-        self._shares, self._forms = single(observed), single(forms)
-        if self._combined is not None:
-            self._forms = self._combined.of_pairs(self._forms)
+        shown = single(forms) if self._combined is None else self._combined.of_pairs(single(forms))
+        self._looks[key] = Look(value, reference, single(observed), shown)
+        return self._looks[key]
+
+
+class Look(NamedTuple):
+    """What operating points say, one a car.
+
+    Attributes:
+        value, reference: as of `values`.
+        shares: what is observed of the points, the other signals 0; shape (n, signals).
+        forms: of the lookahead, if there is one, as of `Seen.of_pairs`.
+    """
+
+    value: Tensor
+    reference: Tensor
+    shares: Tensor
+    forms: Tensor
 
 
 class Seen:

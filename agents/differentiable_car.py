@@ -102,17 +102,6 @@ class Cars:
         sensors = Sensing.of(shown, motions), Sensing.of(task, motions)
         return cls(interval.smooth, terms, states, own, ends, squares, *sensors)
 
-    def picked(self, rows: Tensor) -> Cars:
-        """Some of them, for a drive."""
-        if self.motion.dim() == 2:
-            return self
-        sensors = [
-            dataclasses.replace(each, of_car=each.of_car[rows], of_force=each.of_force[rows])
-            for each in (self.sensing, self.measuring)
-        ]
-        motion, squares = self.motion[rows], self.squares[rows]
-        return dataclasses.replace(self, motion=motion, squares=squares, sensing=sensors[0], measuring=sensors[1])
-
     def forced(self, ends: Tensor) -> Tensor:
         """What the road adds to the coefficients of states, from its ends, shape (steps, n, ends)."""
         return product(ends, self.forcing)

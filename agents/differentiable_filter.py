@@ -53,7 +53,7 @@ class DrivenFilter:
         self._low, high = self.task.damping_range
         self._width = high - self._low
         self._noise = np.maximum(layer.filter.noise, ROUNDING).tolist()
-        self._looked: Belief | None = None
+        self._looks: dict[tuple[int, int], tuple[Belief, tuple[Tensor, ...]]] = {}  # of the episodes of a visit
 
     def note(self, step: int) -> None:
         """Record what is known where a step begins, or after the last one where it ends."""
@@ -66,18 +66,20 @@ class DrivenFilter:
             true: shape (steps, num_envs, measured).
         """
         self._errors = torch.from_numpy(self._measured[1:]) - true
+        first = self._beliefs[0]
+        self._looks = {key: look for key, look in self._looks.items() if first is not None and key == models_of(first)}
 
-    def begin(self, step: int, rows: Tensor | slice) -> Following:
-        """The filters of some cars as they were at the beginning of a step."""
+    def begin(self, step: int) -> Following:
+        """The filters as they were at the beginning of a step."""
         belief = self._beliefs[step]
         assert belief is not None
-        if self._looked is None or belief.model is not self._looked.model or belief.place is not self._looked.place:
-            self._look(belief)
-        return Following(self, belief, rows)
+        return Following(self, belief, *self._look(belief))
 
-    def _look(self, belief: Belief) -> None:
-        """Prepare for the models of all cars, which stay within an episode."""
-        model, place, self._looked = belief.model, belief.place, belief
+    def _look(self, belief: Belief) -> tuple[Tensor, ...]:
+        """What `Following` takes of the models of all cars, worked out once an episode."""
+        key, model, place = models_of(belief), belief.model, belief.place
+        if key in self._looks:
+            return self._looks[key][1]
         sizes = np.abs(model.series).max(axis=(0, 2))
         count = int(np.flatnonzero(sizes > SERIES * sizes.max())[-1]) + 1
         shares = np.array([np.pad(np.polynomial.chebyshev.cheb2poly(row), (0, count))[:count] for row in np.eye(count)])
@@ -85,23 +87,24 @@ class DrivenFilter:
         names = self._known.full.signals
         told = np.zeros((len(model.told), model.told.shape[2], len(names)))
         told[:, :, [n for n, name in enumerate(names) if name not in OPERATING_POINT]] = np.moveaxis(model.told, 1, 2)
-        self._series, self._rows, self._told = (single(part[place]) for part in (series, model.rows, told))
+        self._looks[key] = belief, tuple(single(part[place]) for part in (series, model.rows, told))
+        return self._looks[key][1]
 
 
 class Following:
-    """The filters of some cars along a stretch that is driven again.
+    """The filters along a stretch that is driven again.
 
     Args:
         driven: those that were recorded.
         belief: what was known at its beginning.
-        rows: the cars.
+        series: of transition and noise by the place of D, ``rows`` of what is measured, and what is ``told``.
     """
 
-    def __init__(self, driven: DrivenFilter, belief: Belief, rows: Tensor | slice) -> None:
-        self._driven, self._cars = driven, rows
+    def __init__(self, driven: DrivenFilter, belief: Belief, series: Tensor, rows: Tensor, told: Tensor) -> None:
+        self._driven = driven
         # the mean, and beside it the covariance
-        self._known = single(np.concatenate([belief.mean[:, :, None], belief.covariance], axis=2))[rows]
-        self._series, self._rows, self._told = (part[rows] for part in (driven._series, driven._rows, driven._told))
+        self._known = single(np.concatenate([belief.mean[:, :, None], belief.covariance], axis=2))
+        self._series, self._rows, self._told = series, rows, told
 
     def __call__(self, step: int, place: Tensor, true: Tensor) -> Tensor:
         """What the filters tell before a step, shape (n, signals), the operating point 0.
@@ -117,7 +120,7 @@ class Following:
         known = torch.cat([moved[:, :, :1], torch.baddbmm(noise, moved[:, :, 1:], transition.mT)], 2)
         damping = (driven._low + driven._width * (place + 1) / 2)[:, None, None]
         rows = self._rows[:, 0] + damping * self._rows[:, 1]
-        measured = true + driven._errors[step - 1, self._cars]
+        measured = true + driven._errors[step - 1]
         for j, variance in enumerate(driven._noise):
             row = rows[:, j, None]
             foretold = row @ known  # the measurement, and its covariances with the states
@@ -127,6 +130,11 @@ class Following:
             known = torch.baddbmm(known, gain.mT, wrong / spread, alpha=-1)
         self._known = known
         return (known[:, None, :, 0] @ self._told)[:, 0].clamp(-SATURATION, SATURATION)
+
+
+def models_of(belief: Belief) -> tuple[int, int]:
+    """What tells the models of all cars from others, as long as the belief is kept."""
+    return id(belief.model), id(belief.place)
 
 
 def powers(place: Tensor, count: int) -> Tensor:

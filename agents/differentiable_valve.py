@@ -36,14 +36,17 @@ class DrivenValve:
         task: the plant, whose valves have no limited rate.
         num_envs: cars of the batch.
         steps: control intervals that are recorded.
+
+    Attributes:
+        late: whole intervals that a command waits, of the slowest valve that there may be.
     """
 
     def __init__(self, task: Task, num_envs: int, steps: int) -> None:
         self._vary, self._interval, self._w1 = task.vary, task.control_interval, task.car.natural_frequency
         slowest = task.valve if task.vary is None else task.vary.slowest_valve
-        levels, late = task.valve.levels, math.floor(round(slowest.delay / self._interval, 9))
+        levels, self.late = task.valve.levels, math.floor(round(slowest.delay / self._interval, 9))
         self._step = None if levels is None else 2 / (levels - 1)
-        self._now = torch.full((num_envs, 2 + late + 2 * NUMBERS), SOFTEST)
+        self._now = torch.full((num_envs, 2 + self.late + 2 * NUMBERS), SOFTEST)
         self._now[:, -2 * NUMBERS :] = torch.tensor(self._pieces(task.valve))
         self._drawn = np.empty(0)
         self._states = torch.empty(steps, *self._now.shape)
@@ -73,9 +76,9 @@ class DrivenValve:
         self._now[torch.from_numpy(ended), : -2 * NUMBERS] = SOFTEST
         return mean
 
-    def begin(self, step: int, rows: Tensor | slice) -> Tensor:
-        """The valves of some cars as they were at the beginning of a step."""
-        return self._states[step, rows]
+    def begin(self, step: int) -> Tensor:
+        """The valves as they were at the beginning of a step."""
+        return self._states[step]
 
     def __call__(self, state: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
         """(mean D over an interval, shape (n,), state at its end), from a state and commands."""

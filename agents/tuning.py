@@ -254,7 +254,9 @@ def draw(trial: optuna.Trial, algorithm: str, base: Mapping[str, Any]) -> dict[s
     chosen, network = dict(base), dict(base.get("policy_kwargs", {}))
     for name, values in SEARCH_SPACES[algorithm].items():
         if isinstance(values, list):
-            value: Any = trial.suggest_categorical(name, values)
+            # a stretch is no longer than a visit
+            usable = [value for value in values if name != "horizon" or value <= base.get("n_steps", value)]
+            value: Any = trial.suggest_categorical(name, usable or [base["n_steps"]])
         else:
             value = float(f"{trial.suggest_float(name, *values, log=True):.3g}")
         if name == "learning_rate":

@@ -77,7 +77,7 @@ def driven(plant, **changes):
 def test_what_was_driven_is_driven_again(plant):
     """With the policy that drove, the torch plant comes by the states, and the observations, of the environment."""
     _, roads = driven(plant, noise=0.0, policy_kwargs={"net_arch": [8]})
-    step, rows = 4, slice(None)
+    step = 4
     cars, car, place = roads._cars[step], roads._car[step], torch.from_numpy(roads._places[step])
     moved = cars.moved(car, roads._forced[step], place)
     without = cars.moved(car, cars.forced(roads._ends[step : step + 1])[0], place)
@@ -86,9 +86,8 @@ def test_what_was_driven_is_driven_again(plant):
     left = (moved - without).abs().mean(0)  # of the road between the ends little is left out
     assert left.mean() < 0.05 * scale.mean()
     assert (left < 0.1 * scale).all()
-    roads._look(roads._noted[step, :, -3:-1])
-    held = place if roads._valve is None else roads._valve.begin(step + 1, rows)[:, 0]
-    seen = roads._sees(cars, roads._car[step + 1], held, step + 1, rows, None)
+    held = place if roads._valve is None else roads._valve.begin(step + 1)[:, 0]
+    seen = roads._sees(roads._look(step), roads._car[step + 1], held, step + 1, None)
     np.testing.assert_allclose(seen, roads._seen[step + 1], rtol=1e-3, atol=1e-3)
 
 
@@ -257,8 +256,45 @@ def test_saved_model_and_policy_predict_the_same(tmp_path):
     policy = type(model.policy).load(tmp_path / "policy.pth")
     np.testing.assert_array_equal(policy.predict(seen, deterministic=True)[0], expected)
     loaded.set_env(QuarterCarVecEnv(32, environment=PLANTS["bounded"], features=["products"]))
-    loaded.learn(64, reset_num_timesteps=False)
-    assert loaded.num_timesteps > model.num_timesteps
+    done, before = loaded._n_updates, loaded.predict(seen, deterministic=True)[0]
+    loaded.lookahead_steps, loaded.lr_schedule = 5, lambda left: 1e-3
+    loaded.learn(512, reset_num_timesteps=False)
+    assert loaded._n_updates == done + 4  # one that has learned already does not begin with a lookahead once more
+    assert np.abs(loaded.predict(seen, deterministic=True)[0] - before).max() > 1e-5
+
+
+@pytest.mark.parametrize("total", [1, 150, 700])
+def test_a_training_may_end_within_a_visit(monkeypatch, total):
+    """It is driven to its end; no stretch is longer than the horizon, and the rate does not fall below zero."""
+    lengths, rates, cost = [], [], DrivenRoads.cost
+
+    def counted(roads, *given):
+        lengths.append(given[2])
+        rates.append(model.policy.optimizer.param_groups[0]["lr"])
+        return cost(roads, *given)
+
+    monkeypatch.setattr(DrivenRoads, "cost", counted)
+    chosen = parameters(first_share=0.25, gradient_steps=1, n_timesteps=total)
+    model = make_model("apg", chosen, PLANTS["bounded"], 3, None)
+    model.learn(total)
+    assert model.num_timesteps == 512 * -(-total // 512)
+    assert lengths[-1] == 8
+    assert min(rates) == 0.0
+
+
+def test_a_lookahead_reaches_as_far_as_a_command_that_waits():
+    late = PLANTS["slow valve"] | {"valve": {"delay": 0.4}}
+    model = make_model("apg", parameters(lookahead_steps=2), late, 3, None)
+    before = [weights.clone() for weights in model.policy.parameters()]
+    model.learn(512)  # of one visit, whose own steps have the rate zero
+    assert all((weights != own).any() for weights, own in zip(model.policy.parameters(), before, strict=True))
+
+
+def test_a_second_training_begins_with_valves_that_have_been_told_nothing():
+    model, roads = driven("slow valve")
+    assert roads._valve._now[:, 0].max() > -1
+    model.learn(512)
+    assert float(model.rollout_buffer._valve._states[0][:, 0].max()) == -1.0
 
 
 def test_episodes_that_end_within_what_is_driven_are_not_differentiated_through():
@@ -298,15 +334,21 @@ def test_stretches_grow_and_become_fewer(monkeypatch):
 
 def test_the_first_visit_teaches_the_lookahead_and_no_other(monkeypatch):
     """Before any stretch of many intervals the policy drives like the mixed lookahead; later visits leave that out."""
-    lengths, cost = [], DrivenRoads.cost
-    monkeypatch.setattr(DrivenRoads, "cost", lambda roads, *given: lengths.append(given[2]) or cost(roads, *given))
+    lengths, rates, cost = [], [], DrivenRoads.cost
+
+    def counted(roads, *given):
+        lengths.append(given[2])
+        rates.append(model.policy.optimizer.param_groups[0]["lr"])
+        return cost(roads, *given)
+
+    monkeypatch.setattr(DrivenRoads, "cost", counted)
     chosen = parameters(
         n_envs=128, lookahead_steps=300, gradient_steps=1, features=["products", "lookahead"], learning_rate=3e-3
     )
     model = make_model("apg", chosen, PLANTS["bounded"], 3, None)
     model.learn(2 * 2048)
     assert lengths == [1] * 300 + [8] * 2
-    assert model.policy.optimizer.param_groups[0]["lr"] == 3e-3
+    np.testing.assert_allclose(rates, [*np.linspace(3e-3, 1e-5, 300), 3e-3, 3e-3])
 
     model = make_model("apg", chosen, PLANTS["bounded"], 3, None)
     monkeypatch.setattr(model, "train", lambda: model._look_ahead(model.rollout_buffer))
@@ -330,6 +372,7 @@ def test_the_first_visit_teaches_the_lookahead_and_no_other(monkeypatch):
         ({"first_share": 1.5}, "first_share must lie within"),
         ({"gradient_steps": 0}, "gradient_steps must be at least 1"),
         ({"noise": -1.0}, "noise must not be negative"),
+        ({"policy_kwargs": {"features_extractor_class": "any"}}, "features_extractor_class must be left out"),
         ({"frame_stack": 2}, "frame_stack must be 1 for a gradient through the plant, got 2"),
         ({"damping_levels": 3}, "hyperparameters of apg: The algorithm only supports"),
         (
@@ -355,3 +398,9 @@ def agents_env():
     import roadgym
 
     return gymnasium.make(roadgym.ENVIRONMENT_ID, **PLANTS["bounded"])
+
+
+def test_another_device_than_the_plant_s_is_refused():
+    envs = QuarterCarVecEnv(8, environment=PLANTS["bounded"], features=["products"])
+    with pytest.raises(ParameterError, match="device must be cpu for a gradient through the plant, got 'cuda'"):
+        APG("MlpPolicy", envs, device="cuda")

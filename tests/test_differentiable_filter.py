@@ -56,16 +56,15 @@ def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman")
         roads.answer(step, before, action, ended)
     roads.note(steps, *envs.road_and_car())
     roads.finish()
-    roads._look(roads._noted[0, :, -3:-1])
     return roads, seen
 
 
 def again(roads, start, last):
     """What the filters of ``roads`` tell before step ``last``, driven again from ``start`` on by the same dampings."""
-    follow = roads._filter.begin(start, slice(None))
+    follow = roads._filter.begin(start)
     for step in range(start + 1, last + 1):
         place = torch.from_numpy(roads._places[step - 1])
-        told = roads._sees(roads._cars[0], roads._car[step], place, step, slice(None), follow)
+        told = roads._sees(roads._look(step), roads._car[step], place, step, follow)
     return told.numpy()
 
 
@@ -80,19 +79,19 @@ def test_filters_that_are_driven_again_know_the_same(plant):
 def test_what_another_damping_does_to_what_is_known_is_what_the_filter_does():
     """The same roads and noise twice, with another damping in one interval: what the filter tells changes as the model says."""
     (roads, first), (_, second) = (driven(PLANTS["bounded"], 40, last=place) for place in (-0.2, 0.2))
-    follow = [roads._filter.begin(39, slice(None)) for _ in range(2)]
+    follow = [roads._filter.begin(39) for _ in range(2)]
     told = []
     for place, after in zip((-0.2, 0.2), follow, strict=True):
         places = torch.full((32,), place)
         car = roads._cars[39].moved(roads._car[39], roads._forced[39], places)
-        told.append(roads._sees(roads._cars[39], car, places, 40, slice(None), after).numpy())
+        told.append(roads._sees(roads._look(39), car, places, 40, after).numpy())
     changed = second - first
     assert np.abs(told[1] - told[0] - changed).max() < 0.03 * np.abs(changed).max()
 
 
 def test_first_the_state_is_known_and_then_what_the_filter_makes_of_sensors(monkeypatch):
     (roads, _), (plain, _) = driven(PLANTS["bounded"], 12), driven({"road": "multiplicative", **RANGES}, 12, estimator=None)
-    seen = roads._sees(roads._cars[11], roads._car[11], torch.from_numpy(roads._places[10]), 11, slice(None), None)
+    seen = roads._sees(roads._look(11), roads._car[11], torch.from_numpy(roads._places[10]), 11, None)
     np.testing.assert_allclose(seen, plain._seen[11], rtol=1e-4, atol=1e-4)  # that of a batch with no sensors
     begun = []
     monkeypatch.setattr(DrivenFilter, "begin", lambda driven, *_: begun.append(model.num_timesteps))

@@ -16,6 +16,20 @@ def test_singular_vectors_stay_and_singular_values_become_one(shape):
     assert float((found - torch.diag(found.diagonal())).abs().max()) < 1e-4
 
 
+def test_a_closure_gives_the_gradients_and_the_loss():
+    weights = torch.nn.Parameter(torch.ones(3))
+    optimiser = Muon([weights], lr=0.1)
+
+    def closure():
+        optimiser.zero_grad()
+        loss = weights.square().sum()
+        loss.backward()
+        return loss
+
+    assert optimiser.step(closure).item() == 3.0
+    np.testing.assert_allclose(weights.detach(), 0.9, atol=1e-6)
+
+
 def test_vectors_and_single_rows_move_as_by_adam():
     generator = torch.Generator().manual_seed(2)
     starts = [torch.randn(5, generator=generator), torch.randn(1, 7, generator=generator)]

@@ -52,7 +52,7 @@ def shrunken(name, algorithm=None):
     """Shipped hyperparameters with few environments and steps, small batches and a small network."""
     chosen = load_hyperparameters(algorithm or name, name)
     small = {"buffer_size": 2000, "learning_starts": 100, "batch_size": 32, "n_steps": 8, "n_epochs": 1, "gradient_steps": 1}
-    small["horizon"] = 4
+    small |= {"horizon": 4, "lookahead_steps": 3}
     network = chosen["policy_kwargs"] | {"net_arch": [8]}
     if "lstm_hidden_size" in network:
         network["lstm_hidden_size"] = 8
