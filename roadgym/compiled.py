@@ -42,6 +42,7 @@ from .cache import Kept
 from .linking import link
 
 LANES = 64
+LINE = 64  # bytes of a line of the caches
 
 SPEED = 0 * LANES  # frequency ratio nu = v * wavenumber / natural_frequency
 BANDWIDTH = 1 * LANES  # damping ratio delta of the road filter
@@ -125,7 +126,7 @@ def counted(function: Callable[..., int]) -> Any:
     return _Counted(function, lambda compiler: compiler.dispatcher(function, {}))
 
 
-# to call functions by their address, and to go along rows by pointers: see `roadgym.compiler`
+# to call functions by their address, to go along rows by pointers, and to write past the caches: see `roadgym.compiler`
 call_two: Any = Deferred(None, lambda compiler: compiler.call_two)
 call: Any = Deferred(None, lambda compiler: compiler.call)
 call_car: Any = Deferred(None, lambda compiler: compiler.call_car)
@@ -133,6 +134,8 @@ pointer: Any = Deferred(None, lambda compiler: compiler.pointer)
 record_at: Any = Deferred(None, lambda compiler: compiler.record_at)
 row_of: Any = Deferred(None, lambda compiler: compiler.row_of)
 address_of: Any = Deferred(None, lambda compiler: compiler.address_of)
+stream: Any = Deferred(None, lambda compiler: compiler.stream)
+drain: Any = Deferred(None, lambda compiler: compiler.drain)
 
 
 def like(reference: Any, value: Any) -> Any:

@@ -20,7 +20,7 @@ from numba.core.registry import cpu_target
 from numba.extending import intrinsic, overload
 
 from .cache import Kept
-from .compiled import KINDS, CompilationError, like
+from .compiled import KINDS, LANES, LINE, CompilationError, like
 
 # "contract" alone lets a multiplication and an addition fuse; anything wider would let batch and single results differ.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
@@ -138,6 +138,46 @@ def address_of(typing_context: Any, block: Any) -> Any:
         return builder.ptrtoint(arguments[0], context.get_value_type(types.uintp))
 
     return types.uintp(block), generate
+
+
+@intrinsic
+def stream(typing_context: Any, source: Any, target: Any, unit: Any) -> Any:
+    """Write LANES numbers, times a unit, as 64-bit ones past the caches, to a place at a multiple of 64 bytes; see `drain`.
+
+    What is seldom read does not push out what is: and a line that is written whole need not be fetched first.
+    """
+    signature = types.void(source, target, types.float64)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        (source, target, unit), width = arguments, LINE // 8
+        kind, index = ir.DoubleType(), ir.IntType(64)
+        whole = ir.VectorType(kind, width)
+        units = ir.Constant(whole, ir.Undefined)
+        for k in range(width):
+            units = builder.insert_element(units, unit, ir.Constant(ir.IntType(32), k))
+        past = builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)])
+        for k in range(0, LANES, width):
+            own, place = (builder.gep(each, [ir.Constant(index, k)]) for each in (source, target))
+            number = source.type.pointee
+            numbers = builder.load(builder.bitcast(own, ir.VectorType(number, width).as_pointer()), align=4)
+            if number != kind:
+                numbers = builder.fpext(numbers, whole)
+            written = builder.store(builder.fmul(numbers, units), builder.bitcast(place, whole.as_pointer()), align=LINE)
+            written.set_metadata("nontemporal", past)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def drain(typing_context: Any) -> Any:
+    """Let all that was written by `stream` be there for other threads."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), generate
 
 
 def make_ready() -> None:

@@ -42,6 +42,7 @@ from .compiled import (
     call_car,
     compiled,
     counted,
+    drain,
     like,
     pointer,
     record_at,
@@ -82,6 +83,7 @@ from .signals import (
     clip,
     prepare_filters,
     report_block,
+    report_row,
     result_row,
     state_row,
     tell_row,
@@ -349,6 +351,7 @@ def step_blocks(order: Any, state: Any) -> None:
             for i in range(count):
                 counts[PENDING + i] = over[i]
         observe_block(plant, lanes, work, counts, plant.observations, first, count)
+    drain()
     order[UNSOUND] = unsound
 
 
@@ -376,11 +379,12 @@ def reset_blocks(order: Any, state: Any) -> None:
             work[DAMPING + i] = lanes[plant.valve_row + i] if plant.valve else like(lanes, plant.damping_low)
         start_sensors(plant, lanes, work, counts, due)
         observe_block(plant, lanes, work, counts, plant.observations, first, count)
-        tell_row(row_of(work, DAMPING), result_row(plant, RESULT_DAMPING, first), count, 1.0)
-        tell_row(row_of(lanes, SPEED), result_row(plant, RESULT_SPEED, first), count, plant.speed_unit)
-        tell_row(row_of(lanes, BANDWIDTH), result_row(plant, RESULT_BANDWIDTH, first), count, 1.0)
+        report_row(plant, row_of(work, DAMPING), result_row(plant, RESULT_DAMPING, first), count, 1.0)
+        report_row(plant, row_of(lanes, SPEED), result_row(plant, RESULT_SPEED, first), count, plant.speed_unit)
+        report_row(plant, row_of(lanes, BANDWIDTH), result_row(plant, RESULT_BANDWIDTH, first), count, 1.0)
         if unsound < 0:
             unsound = unsound_state(plant, lanes, count, first)
+    drain()
     order[UNSOUND] = unsound
 
 

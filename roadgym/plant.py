@@ -41,6 +41,7 @@ from .record import (
     SPARE_ADDRESS,
     SQUARES,
     STEP,
+    STREAMED,
     UNSOUND,
     WORDS_ADDRESS,
     WORK_ADDRESS,
@@ -123,7 +124,9 @@ class Plant:
         self._autoreset = AUTORESET[autoreset]
         self._restarts = vary is not None and autoreset == "same_step"  # here, with another car, and not in compiled code
         self._observations = Reused((num_envs, len(task.signals)), np.float32)
-        self._results = Reused((SQUARES + len(task.reward) + (not valve.ideal), num_envs), np.float64)
+        self._results = Reused(
+            (SQUARES + len(task.reward) + (not valve.ideal), num_envs), np.float64, lines=num_envs >= STREAMED
+        )
         self._rewards, self._truncated = Reused(num_envs, self.dtype), Reused(num_envs, np.bool_)
         self._asked = np.zeros(num_envs, np.float32)
         self._interval = Interval if valve.ideal else CommandedInterval

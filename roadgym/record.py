@@ -89,3 +89,4 @@ ORDER = 10
 
 # rows of the results: what a step reports of each environment; from SQUARES on the mean squares
 REWARD, RESULT_DAMPING, RESULT_SPEED, RESULT_BANDWIDTH, SQUARES = range(5)
+STREAMED = 1 << 15  # environments from which on no near cache holds them, and they are written past all

@@ -18,6 +18,7 @@ from .compiled import (
     LANES,
     LEVEL,
     LEVEL_EXCESS,
+    LINE,
     RATE,
     SHARE,
     SLOPE,
@@ -28,6 +29,7 @@ from .compiled import (
     like,
     pointer,
     row_of,
+    stream,
 )
 from .record import (
     RESULT_BANDWIDTH,
@@ -35,6 +37,7 @@ from .record import (
     RESULT_SPEED,
     REWARD,
     SQUARES,
+    STREAMED,
 )
 
 # rows of a filter: g and G h/12 at the beginning of a substep, and at its end; the input at both, with what it rises above its
@@ -281,9 +284,21 @@ def tell_row(source: Any, target: Any, count: int, unit: Any) -> None:
 
 
 @compiled
+def report_row(plant: Any, source: Any, target: Any, count: int, unit: Any) -> None:
+    """`tell_row` to the results; where no cache holds these, past the caches."""
+    if count == LANES and plant.environments >= STREAMED:
+        stream(source, target, unit)
+    else:
+        tell_row(source, target, count, unit)
+
+
+@compiled
 def result_row(plant: Any, row: int, first: int) -> Any:
-    """Where a row of the results has the environment ``first``."""
-    return row_of(pointer(plant.results, 0.0), row * plant.environments + first)
+    """Where a row of the results has the environment ``first``; rows that are streamed begin with a line."""
+    length = plant.environments
+    if length >= STREAMED:
+        length = (length + LINE // 8 - 1) // (LINE // 8) * (LINE // 8)
+    return row_of(pointer(plant.results, 0.0), row * length + first)
 
 
 @compiled
@@ -299,21 +314,23 @@ def report_block(plant: Any, lanes: Any, work: Any, first: int, count: int) -> i
     fresh = True
     for k in range(plant.signals):
         square, weight = row_of(work, square_row(plant, k)), like(lanes, -weights[k])
-        tell_row(square, result_row(plant, SQUARES + k, first), count, units[k])
+        report_row(plant, square, result_row(plant, SQUARES + k, first), count, units[k])
         add_row(total, square, like(lanes, 1.0), k == 0)
         if weight != 0:
             add_row(cost, square, weight, fresh)
             fresh = False
-    tell_row(cost, result_row(plant, REWARD, first), count, 1.0)
+    report_row(plant, cost, result_row(plant, REWARD, first), count, 1.0)
     rewards = row_of(pointer(plant.rewards, lanes), first)
     for i in range(count):
         rewards[i] = cost[i]
     valve = valve_work(plant)
-    tell_row(row_of(work, valve + MEAN if plant.valve else DAMPING), result_row(plant, RESULT_DAMPING, first), count, 1.0)
+    report_row(
+        plant, row_of(work, valve + MEAN if plant.valve else DAMPING), result_row(plant, RESULT_DAMPING, first), count, 1.0
+    )
     if plant.valve:
-        tell_row(row_of(work, valve + COMMAND), result_row(plant, SQUARES + plant.signals, first), count, 1.0)
-    tell_row(row_of(lanes, SPEED), result_row(plant, RESULT_SPEED, first), count, plant.speed_unit)
-    tell_row(row_of(lanes, BANDWIDTH), result_row(plant, RESULT_BANDWIDTH, first), count, 1.0)
+        report_row(plant, row_of(work, valve + COMMAND), result_row(plant, SQUARES + plant.signals, first), count, 1.0)
+    report_row(plant, row_of(lanes, SPEED), result_row(plant, RESULT_SPEED, first), count, plant.speed_unit)
+    report_row(plant, row_of(lanes, BANDWIDTH), result_row(plant, RESULT_BANDWIDTH, first), count, 1.0)
     # of numbers that are not finite, or too large together, the sum is not finite either
     unsound, found = np.int32(0), -1
     for i in range(LANES):

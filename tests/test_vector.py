@@ -16,6 +16,7 @@ import analysis
 import roadgym
 from agents.wrappers import learning
 from roadgym import ParameterError
+from roadgym.record import STREAMED
 from roadgym.vector import QuarterCarVectorEnv
 
 ID = roadgym.ENVIRONMENT_ID
@@ -25,6 +26,26 @@ every_plant = pytest.mark.parametrize("plant", EVERY_PLANT, ids=plant_name)
 
 def actions_for(n, steps):
     return np.random.default_rng(8).uniform(0.05, 1.0, (steps, n, 1)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("precision", "threads"), [("float32", 1), ("float32", 2), ("float64", 2)])
+def test_large_batches_tell_the_same_and_what_they_told_stays(precision, threads):
+    """Beyond `STREAMED` environments infos are written past the caches; 65 of them are no whole block."""
+    plant = {"road": "gaussian", "valve": {"delay": 0.1}, "precision": precision, **RANGES}
+    n = STREAMED + 65
+    envs = QuarterCarVectorEnv(n, threads=threads, max_episode_steps=3, **plant)
+    told, copies = [], []
+    actions = np.random.default_rng(8).uniform(0.05, 1.0, (9, n, 1)).astype(np.float32)
+    for action in [None, *actions]:  # more than are kept to be used again
+        told.append(envs.reset(seed=5)[1] if action is None else envs.step(action)[4])
+        copies.append({name: row.copy() for name, row in told[-1].items()})
+    del envs
+    for i in (0, 63, 64, n // 2, STREAMED - 1, STREAMED, n - 1):
+        single = QuarterCarVectorEnv(1, max_episode_steps=3, **plant)
+        alone = [single.reset(seed=5 + i)[1], *(single.step(action[i : i + 1])[4] for action in actions)]
+        for info, copied, own in zip(told, copies, alone, strict=True):
+            assert {name: info[name][i] for name in info} == {name: own[name][0] for name in own}
+            assert all((info[name] == copied[name]).all() for name in info)
 
 
 @every_plant
