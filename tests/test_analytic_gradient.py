@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import agents
 from agents.analytic_gradient import APG
 from agents.controllers import make_controller
-from agents.differentiable import DrivenRoads, Seen, values
+from agents.differentiable import Seen, values
 from agents.evaluation import evaluate
 from agents.features import Sight
 from agents.report import theory_given
@@ -71,6 +71,19 @@ def driven(plant, **changes):
     model = make_model("apg", parameters(**changes), PLANTS[plant], 3, None)
     model.learn(model.n_envs * model.n_steps)
     return model, model.rollout_buffer
+
+
+def watched(monkeypatch):
+    """Lengths of the stretches that all models go down from now on, and their learning rates, as they happen."""
+    lengths, rates, descend = [], [], APG._descend
+
+    def counted(model, roads, starts, length, known):
+        lengths.append(length)
+        rates.append(model.policy.optimizer.param_groups[0]["lr"])
+        return descend(model, roads, starts, length, known)
+
+    monkeypatch.setattr(APG, "_descend", counted)
+    return lengths, rates
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -266,14 +279,7 @@ def test_saved_model_and_policy_predict_the_same(tmp_path):
 @pytest.mark.parametrize("total", [1, 150, 700])
 def test_a_training_may_end_within_a_visit(monkeypatch, total):
     """It is driven to its end; no stretch is longer than the horizon, and the rate does not fall below zero."""
-    lengths, rates, cost = [], [], DrivenRoads.cost
-
-    def counted(roads, *given):
-        lengths.append(given[2])
-        rates.append(model.policy.optimizer.param_groups[0]["lr"])
-        return cost(roads, *given)
-
-    monkeypatch.setattr(DrivenRoads, "cost", counted)
+    lengths, rates = watched(monkeypatch)
     chosen = parameters(first_share=0.25, gradient_steps=1, n_timesteps=total)
     model = make_model("apg", chosen, PLANTS["bounded"], 3, None)
     model.learn(total)
@@ -325,8 +331,7 @@ def test_a_policy_that_is_all_at_one_end_of_the_range_comes_back(side):
 
 
 def test_stretches_grow_and_become_fewer(monkeypatch):
-    lengths, cost = [], DrivenRoads.cost
-    monkeypatch.setattr(DrivenRoads, "cost", lambda roads, *given: lengths.append(given[2]) or cost(roads, *given))
+    lengths, _ = watched(monkeypatch)
     model = make_model("apg", parameters(first_share=0.25, gradient_steps=2), PLANTS["bounded"], 3, None)
     model.learn(4 * 512)
     assert lengths == [3] * 5 + [4] * 4 + [6] * 3 + [8] * 2  # 16 intervals a visit, or nearly
@@ -334,14 +339,7 @@ def test_stretches_grow_and_become_fewer(monkeypatch):
 
 def test_the_first_visit_teaches_the_lookahead_and_no_other(monkeypatch):
     """Before any stretch of many intervals the policy drives like the mixed lookahead; later visits leave that out."""
-    lengths, rates, cost = [], [], DrivenRoads.cost
-
-    def counted(roads, *given):
-        lengths.append(given[2])
-        rates.append(model.policy.optimizer.param_groups[0]["lr"])
-        return cost(roads, *given)
-
-    monkeypatch.setattr(DrivenRoads, "cost", counted)
+    lengths, rates = watched(monkeypatch)
     chosen = parameters(
         n_envs=128, lookahead_steps=300, gradient_steps=1, features=["products", "lookahead"], learning_rate=3e-3
     )
