@@ -243,9 +243,7 @@ class APG(OnPolicyAlgorithm):
         for _ in range(round(self.gradient_steps * self.horizon / length)):
             found.append(self._descend(roads, starts, length, known))
         cost, norm = np.mean(found, axis=0)
-        self.logger.record(
-            "train/cost", cost
-        )  # as of `DrivenRoads.cost`: with the value of the end, so each length has its own
+        self.logger.record("train/cost", cost)  # with the value of the end, so that each length has costs of its own
         self.logger.record("train/gradient_norm", norm)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 

@@ -1,7 +1,17 @@
-"""Directional derivatives of a cost by the weights of a policy, by the gradient and by finite differences."""
+"""Small trainings by the gradient, and its directional derivatives against finite differences."""
 
 import pytest
 import torch
+
+SMALL = {
+    "n_envs": 32,
+    "n_steps": 16,
+    "horizon": 8,
+    "first_share": 1.0,
+    "gradient_steps": 4,
+    "lookahead_steps": 0,
+    "features": ["products"],
+}
 
 
 def check_gradient(roads, network):

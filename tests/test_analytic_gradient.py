@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from gradients import check_gradient
+from gradients import SMALL, check_gradient
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import agents
@@ -21,15 +21,6 @@ from roadgym.task import make_task
 from roadgym.vector import QuarterCarVectorEnv
 
 RANGES = {"speed": (0.7, 3.0), "bandwidth": (0.1, 0.4)}
-SMALL = {
-    "n_envs": 32,
-    "n_steps": 16,
-    "horizon": 8,
-    "first_share": 1.0,
-    "gradient_steps": 4,
-    "lookahead_steps": 0,
-    "features": ["products"],
-}
 PLANTS = {
     "bounded": {"road": "multiplicative", **RANGES},
     "comfort": {"road": "gaussian", "reward": {"acceleration": 1.0, "travel": 0.5}, **RANGES},

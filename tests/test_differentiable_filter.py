@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from gradients import check_gradient
+from gradients import SMALL, check_gradient
 
 import agents
 from agents.differentiable_filter import DrivenFilter
@@ -30,15 +30,7 @@ PLANTS = {
     },
     "third order": {"road": "two_corner", "speed": 1.0, "observation": ["velocity"], "sensors": {"noise": 0.01}},
 }
-SMALL = {
-    "n_envs": 32,
-    "n_steps": 16,
-    "horizon": 8,
-    "first_share": 1.0,
-    "gradient_steps": 4,
-    "lookahead_steps": 0,
-    "features": ["products"],
-} | {"estimator": "kalman"}
+FILTER = SMALL | {"estimator": "kalman"}
 
 
 def driven(environment, steps, last=None, seed=3, number=32, estimator="kalman"):
@@ -95,14 +87,14 @@ def test_first_the_state_is_known_and_then_what_the_filter_makes_of_sensors(monk
     np.testing.assert_allclose(seen, plain._seen[11], rtol=1e-4, atol=1e-4)  # that of a batch with no sensors
     begun = []
     monkeypatch.setattr(DrivenFilter, "begin", lambda driven, *_: begun.append(model.num_timesteps))
-    model = make_model("apg", load_hyperparameters("apg") | SMALL | {"state_known": 0.5}, PLANTS["bounded"], 3, None)
+    model = make_model("apg", load_hyperparameters("apg") | FILTER | {"state_known": 0.5}, PLANTS["bounded"], 3, None)
     model.learn(4 * 512)
     assert begun == [3 * 512] * 4 + [4 * 512] * 4
 
 
 @pytest.mark.parametrize("plant", ["bounded", "two masses", "cars that differ"])
 def test_gradients_are_those_of_finite_differences(plant):
-    chosen = load_hyperparameters("apg") | SMALL | {"noise": 0.0, "policy_kwargs": {"net_arch": [8], "activation_fn": "Tanh"}}
+    chosen = load_hyperparameters("apg") | FILTER | {"noise": 0.0, "policy_kwargs": {"net_arch": [8], "activation_fn": "Tanh"}}
     model = make_model("apg", chosen, PLANTS[plant], 3, None)
     model.learn(model.n_envs * model.n_steps)
     check_gradient(model.rollout_buffer, model.policy.network)
@@ -114,7 +106,10 @@ def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
     environment = {"road": "multiplicative", **ranges, **SENSED, "observe_operating_point": False}
     chosen = {"n_envs": 64, "n_steps": 32, "horizon": 16, "gradient_steps": 8, "n_timesteps": 16 * 2048}
     agent = agents.train(
-        tmp_path / "a", environment=environment, algorithm="apg", hyperparameters=load_hyperparameters("apg") | SMALL | chosen
+        tmp_path / "a",
+        environment=environment,
+        algorithm="apg",
+        hyperparameters=load_hyperparameters("apg") | FILTER | chosen,
     )
     assert agent.description["filter_told"] == ["speed", "bandwidth"]
     assert "where the filter was told speed and bandwidth, with" in theory_given(agent)
@@ -134,4 +129,4 @@ def test_seconds_of_training_save_most_of_what_sensors_can(tmp_path):
 )
 def test_what_is_more_than_a_plain_filter_is_refused(changes):
     with pytest.raises(ParameterError, match="sensors must be ideal but for noise and resolution, and the valve ideal, for"):
-        make_model("apg", load_hyperparameters("apg") | SMALL, PLANTS["bounded"] | changes, 0, None)
+        make_model("apg", load_hyperparameters("apg") | FILTER, PLANTS["bounded"] | changes, 0, None)
